@@ -35,7 +35,7 @@ from packages_roles import measure_roles
 from packages_sending import measure_sending
 from packages_server import measure_server
 from packages_textures import measure_textures
-from texmesh_texture_views import VIEWS
+from packages_views import VIEWS
 
 from lib import command_line
 

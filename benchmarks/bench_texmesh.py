@@ -3,7 +3,7 @@
 Parts (`--only`), each in a module `texmesh_PART.py` if no other one is named:
 
 - `speed` (texmesh_levels.py): time and memory with 200k triangles and a texture of 4096 x 4096
-- `refits`: deviations beside other programs
+- `refits`: deviations compared with other programs
 - `glb`: the Khronos validator, with --validator
 - `switching` (texmesh_levels.py): FLIP between neighboring levels at their switch distance, in views that the search did not use
 - `renders`: FLIP of levels by Farfield and by other programs against the original
@@ -31,9 +31,8 @@ import benchmark_cli
 import texmesh_glb
 from texmesh_levels import measure_speed, measure_switching, measure_targets
 from texmesh_paper import measure_paper
-from texmesh_rebakes import measure_rebakes
 from texmesh_refits import measure_refits
-from texmesh_renders import measure_renders
+from texmesh_renders import measure_rebakes, measure_renders
 
 from farfield.addon.core.errors import SettingsError
 from lib import command_line

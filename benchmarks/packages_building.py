@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 from packages_bytes import build
-from texmesh_chains import paint
-from texmesh_costs import measure_cost
+from texmesh_chains import measure_cost, paint
 from texmesh_levels import SPEED_RINGS, SPEED_SIDE, make_ball
-from texmesh_textured_models import TexturedModel
+from texmesh_models import TexturedModel
 
 from farfield.addon.core.imaging.colors import encode_signed_srgb
 from farfield.addon.core.jobs.progress import Progress

@@ -22,12 +22,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import texmesh_files
+from packages_views import VIEWS, TextureJudge, list_left_out, list_members, random_directions
 from packages_webp import QUALITIES, encode_webp
 from PIL import Image
 from reference.mesh_decoding import decode_level, dequantize
+from texmesh_models import JUDGING, TexturedModel, open_textured
 from texmesh_peers import GLTFPACK, simplify_with_gltfpack
-from texmesh_texture_views import VIEWS, TextureJudge, list_left_out, list_members, random_directions
-from texmesh_textured_models import JUDGING, TexturedModel, open_textured
 
 from farfield.addon.core.files.glb import Y_UP
 from farfield.addon.core.geometry.mesh import TriangleMesh
@@ -40,7 +40,7 @@ from farfield.addon.core.packages.material_sources import MaterialSource
 from farfield.addon.core.packages.package import Package, build_package
 from farfield.addon.core.packages.planning import PlanRow
 from farfield.addon.core.packages.settings import PackageSettings
-from farfield.addon.core.packages.textures.decoding import decode_textures
+from farfield.addon.core.packages.textures.coding import decode_textures
 from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 from lib.command_line import peak_memory_mb

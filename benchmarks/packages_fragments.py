@@ -21,7 +21,7 @@ from sending.fragments import (
     quality_of_scale,
     tabulate_sizes,
 )
-from texmesh_textured_models import open_textured
+from texmesh_models import open_textured
 
 from farfield.addon.core.imaging.coded_images import encode
 from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
@@ -33,12 +33,12 @@ from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
 MODELS = ("spot", "blub", "fuze", "sceaux")  # and a generated one
 TABLE_MODEL = "spot"
-ROWS = (  # of Figure 7: side in pixels and qualities
+ROWS = (  # Rows of Figure 7: side in pixels and qualities.
     (1024, (20, 40, 50, 60)),
     (512, (40, 50, 60)),
     (256, (20, 60)),
 )
-QUALITIES = tuple(range(10, 101, 10))  # of Figure 9
+QUALITIES = tuple(range(10, 101, 10))  # Qualities of Figure 9.
 THRESHOLDS = tuple(np.linspace(0.0, 1.0, 11).round(2).tolist())
 MAP_SCALE = 8  # whose map of qualities is reported
 TABLES_BEGIN, SCAN_BEGIN = (b"\xff\xdb", b"\xff\xc4"), b"\xff\xda"  # DQT and DHT, SOS

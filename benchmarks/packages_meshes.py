@@ -1,4 +1,4 @@
-"""Part `meshes` of bench_packages.py: bytes of the meshes of packages beside those of gltfpack and Draco, time, and estimated positions.
+"""Part `meshes` of bench_packages.py: bytes of the meshes of packages compared with those of gltfpack and Draco, time, and estimated positions.
 
 All get the same triangles with texture coordinates, without normals, and 16 bits per coordinate. `gltfpack` is the finest level alone, and
 gzip as a server would compress it. With `-noq` it keeps 32-bit floating-point numbers, of which meshopt removes less. Draco is used if
@@ -38,7 +38,7 @@ from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 MODELS = ("spot", "blub", "bunny", "castle", "fuze")
 CASTLE = "sceaux/mesh_15k.ply"
 RING_GRID = (106, 53)  # cells of a patch: 202,248 triangles
-RATIOS = (0.4, 0.16, 0.064, 0.0256)  # of the triangles in coarser levels
+RATIOS = (0.4, 0.16, 0.064, 0.0256)  # Fractions of the triangles in coarser levels.
 DRACO = "FARFIELD_DRACO3D"
 PAGE_DECODER = Path(packages.__file__).parent / "page" / "mesh_decoding.js"
 REPEATS = 6

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import texmesh_models
+from packages_views import PIXELS_PER_DEGREE, random_directions
 from PIL import Image
-from texmesh_texture_views import PIXELS_PER_DEGREE, random_directions
-from texmesh_textured_models import paint_patches
+from texmesh_models import paint_patches
 
 from farfield.addon.core.geometry.mesh import vertex_normals
 from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
@@ -24,19 +24,18 @@ from farfield.addon.core.imaging.raster import PixelLocations, draw_ids, locate_
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.packages.settings import PackageSettings
 from farfield.addon.core.packages.textures.building import assemble_textures, code_textures
-from farfield.addon.core.packages.textures.coding import CodedTexture
-from farfield.addon.core.packages.textures.decoding import decode_textures
+from farfield.addon.core.packages.textures.coding import CodedTexture, decode_textures
 from farfield.addon.core.packages.textures.texture_tiles import TextureSource
 from farfield.addon.core.texmesh.perception.views import BACKGROUND, frame_around, view_axes
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
 ROLES = ("base_color", "normal", "roughness")
 KINDS = ("planet", "mirrored")
-SIDE = 1024  # of normal and roughness maps; the base color has 2048
+SIDE = 1024  # Side of normal and roughness maps; the base color has 2048.
 STEEPNESS = 6.0  # gradient of a change of the height by 1 between two texels
 PIXELS, VIEWS = 512, 4
-FACTORS = (1.0 / 16.0, 0.25, 1.0, 4.0)  # of the weights of a role
-PARTS = (0.1, 0.2, 0.5)  # of all bytes
+FACTORS = (1.0 / 16.0, 0.25, 1.0, 4.0)  # Factors of the weights of a role.
+PARTS = (0.1, 0.2, 0.5)  # Fractions of all bytes.
 LIGHTS = ((-0.5, 0.6, 0.62, 2.2), (0.8, 0.1, 0.59, 0.9))  # direction in the view: right, up, towards the viewer; strength
 AMBIENT, F0 = 0.15, 0.04
 MIN_ROUGHNESS = 0.05

@@ -19,7 +19,7 @@ from reference.streaming_state import Span, TransferPlan, add_table
 from sending.network import Connection
 from sending.simulation import CLIENTS, StreamedPackage, StreamingReport, build_streamed_package, simulate
 from sending.traces import MEGABIT, Trace, burst_trace, cellular_trace, ramp_trace, read_trace, step_trace
-from texmesh_textured_models import open_textured
+from texmesh_models import open_textured
 
 from farfield.addon.core.errors import SettingsError
 from farfield.addon.core.packages.files import read_package, write_package
@@ -29,11 +29,11 @@ from farfield.addon.core.packages.planning import ErrorTable
 
 REAL_MODELS = ("spot", "blub", "planet:7")  # the last one has a texture of 2048 x 2048
 MODEL_SEED = 7
-TABLE_BYTES = 6  # of the table of increments, per increment
+TABLE_BYTES = 6  # Bytes of the table of increments, per increment.
 KINDS = ("step", "ramp", "burst", "3G", "4G")
 MIRROR_CASES = ("fine", "pause", "down", "loss")
 MIN_MIRRORED = 200_000  # bytes of the textures of packages with mirrors: smaller ones need a single server
-TRACES = 40  # of each kind
+TRACES = 40  # Traces of each kind.
 PATIENCE = 1e9  # seconds
 BOUNDS = {"step": 0.01, "ramp": 0.01, "burst": 0.03, "3G": 0.03, "4G": 0.03}  # lateness that 95 % must not exceed, fractions of the limit
 

@@ -60,7 +60,7 @@ RANGES = (
 
 
 def measure_server(given: Namespace) -> dict[str, Any]:
-    """Send random requests to a server of a package that has secrets beside it, and return what it answered: how often each status, files
+    """Send random requests to a server of a package that has secrets next to it, and return what it answered: how often each status, files
     that it opened, answers with a secret, and answers that are no part of the package."""
     seed, opened = given.seed, []
     is_recording = True

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import texmesh_models
-import texmesh_textured_models
+from packages_views import PIXELS_PER_DEGREE, VIEWS, TextureJudge, list_left_out, list_members, random_directions
 from PIL import Image
 from sending.fragments import (
     CodedFragments,
@@ -23,7 +23,6 @@ from sending.fragments import (
     normalize_counts,
     quality_of_scale,
 )
-from texmesh_texture_views import PIXELS_PER_DEGREE, VIEWS, TextureJudge, list_left_out, list_members, random_directions
 
 from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
 from farfield.addon.core.jobs.progress import run_to_end
@@ -31,7 +30,7 @@ from farfield.addon.core.packages.increments import encode_increments
 from farfield.addon.core.packages.settings import PackageSettings
 from farfield.addon.core.packages.textures.avif_files import SPEED
 from farfield.addon.core.packages.textures.building import BuiltTextures, build_textures
-from farfield.addon.core.packages.textures.decoding import decode_textures
+from farfield.addon.core.packages.textures.coding import decode_textures
 from farfield.addon.core.packages.textures.texture_tiles import TextureSource
 from farfield.addon.core.texmesh.scale_space.analysis import analyze_scale_space
 from farfield.addon.core.texmesh.settings import AnalysisSettings
@@ -92,7 +91,7 @@ def measure_built(built: BuiltTextures, sources: Sequence[TextureSource], judge:
 class ModelFiles:
     """The textures of a model, and files of them, which do not depend on the size of images: each is coded when it is needed first."""
 
-    def __init__(self, model: texmesh_textured_models.TexturedModel) -> None:
+    def __init__(self, model: texmesh_models.TexturedModel) -> None:
         self.sources, self.count = list_sources(model.mesh, model.images), len(model.images)
         self._files: dict[tuple[int, int, str], bytes] = {}
 
@@ -162,12 +161,12 @@ def build(sources: Sequence[TextureSource], settings: PackageSettings) -> BuiltT
 
 def measure_textures(given: Namespace) -> dict[str, Any]:
     """Return bytes at equal FLIP of packages and of other ways to send textures, for all models that judge and all sizes of images."""
-    names = [*texmesh_textured_models.JUDGING, *(f"{kind}:{given.seed + index}" for index, kind in enumerate(texmesh_models.GENERATORS))]
+    names = [*texmesh_models.JUDGING, *(f"{kind}:{given.seed + index}" for index, kind in enumerate(texmesh_models.GENERATORS))]
     results: dict[str, Any] = {}
     model, files, opened = None, None, ""
     for name, pixels in list_members(given, names):
         if name != opened:
-            model, opened = texmesh_textured_models.open_textured(given.data, name, given.seed), name
+            model, opened = texmesh_models.open_textured(given.data, name, given.seed), name
             files = ModelFiles(model)
         started = time.perf_counter()
         result = measure_model(model, files, pixels, np.random.default_rng([given.seed, pixels]))
@@ -180,9 +179,7 @@ def measure_textures(given: Namespace) -> dict[str, Any]:
     return {"ratios": summary, "models": results, "left_out": list_left_out(given, names, results)}
 
 
-def measure_model(
-    model: texmesh_textured_models.TexturedModel, files: ModelFiles, pixels: int, generator: np.random.Generator
-) -> dict[str, Any]:
+def measure_model(model: texmesh_models.TexturedModel, files: ModelFiles, pixels: int, generator: np.random.Generator) -> dict[str, Any]:
     """Return bytes at equal FLIP errors, relative to those of uniform quality, to the paper's fragments and to WebP;
     None where one of them does not reach the error."""
     judge = TextureJudge(model.mesh, model.images, random_directions(VIEWS[pixels], generator), pixels).measure_flip

@@ -17,8 +17,8 @@ from PIL import Image
 
 QUALITIES = (5, 10, 15, 20, 30, 40, 50, 60, 70, 80, 90, 95)
 VARIABLE = "FARFIELD_GLTF_TRANSFORM"
-METHOD = 6  # of Pillow: the slowest, which gives the smallest files
-EFFORT = 100  # of gltf-transform, the same
+METHOD = 6  # Method of Pillow: the slowest, which gives the smallest files.
+EFFORT = 100  # Effort of gltf-transform, the same.
 TIMEOUT = 300.0  # seconds
 ALIGNMENT = 4
 
@@ -94,7 +94,7 @@ def main(names: list[str]) -> None:
 
     environment.ensure()
     environment.import_farfield()
-    from texmesh_textured_models import open_textured
+    from texmesh_models import open_textured
 
     program = os.environ[VARIABLE]
     print("| model | quality | Pillow | gltf-transform | ratio | largest difference of pixels |\n|---|---|---|---|---|---|")

@@ -1,13 +1,16 @@
 """Textured models with their images, and levels of them with default settings, each made once for all parts of `bench_texmesh.py`."""
 
+import time
 from argparse import Namespace
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 import texmesh_models
-from texmesh_textured_models import read_images
+from texmesh_models import read_images
 
 from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
 from farfield.addon.core.imaging.mipmaps import Mipmaps, build_mipmaps, resize_by_area
@@ -15,9 +18,11 @@ from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.level_chain import LevelChain, make_levels
 from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
+from lib import command_line
 
 PAINTED_SIDE = 512  # pixels of generated textures
 BUNNY = "bunny"
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,3 +75,19 @@ def paint(side: int, generator: np.random.Generator) -> np.ndarray:
     colors = generator.uniform(0.05, 0.9, (2, 3)).astype(np.float32)
     weights = np.clip(3.0 * total - 1.0, 0.0, 1.0)[..., None]
     return colors[0] + weights * (colors[1] - colors[0])
+
+
+def measure_cost(run: Callable[[], Result], max_seconds: float, max_memory_mb: float) -> tuple[Result, dict[str, Any]]:
+    """Return the result of `run`, and its seconds, CPU seconds of all threads and peak memory, with their bounds. The memory is that of
+    the process."""
+    before = command_line.peak_memory_mb()
+    started, cpu_started = time.perf_counter(), time.process_time()
+    result = run()
+    return result, {
+        "seconds": round(time.perf_counter() - started, 1),
+        "cpu_seconds": round(time.process_time() - cpu_started, 1),
+        "max_seconds": max_seconds,
+        "peak_memory_mb": round(command_line.peak_memory_mb()),
+        "peak_memory_before_mb": round(before),
+        "max_memory_mb": max_memory_mb,
+    }

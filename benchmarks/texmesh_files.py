@@ -17,7 +17,7 @@ MATERIAL_PREFIX = "material_"
 
 
 def write_obj(path: Path, mesh: TexturedMesh, textures: dict[int, str]) -> None:
-    """Write an .obj and an .mtl beside it. textures: image files by material; pymeshlab joins materials that share one."""
+    """Write an .obj and an .mtl next to it. textures: image files by material; pymeshlab joins materials that share one."""
     entries = [f"newmtl {MATERIAL_PREFIX}{material}\nKd 1 1 1\nmap_Kd {texture}\n" for material, texture in textures.items()]
     path.with_suffix(".mtl").write_text("".join(entries), "ascii")
     with path.open("w", encoding="ascii", newline="\n") as file:

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 import texmesh_models
-from texmesh_chains import TexturedModel, default_settings, make_chain, model_names, open_textured, paint
-from texmesh_costs import measure_cost
-from texmesh_texture_views import random_directions
+from packages_views import random_directions
+from texmesh_chains import TexturedModel, default_settings, make_chain, measure_cost, model_names, open_textured, paint
 
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import run_to_end
@@ -25,7 +24,7 @@ SPEED_RINGS, SPEED_SIDE = 224, 4096  # 4 x 224 x 223 = 199,808 triangles
 MAX_DIFFERENCE = 0.05
 VIEWS = 8  # in which switches are checked; other ones than those of the search
 FRACTIONS = (0.5, 0.25, 0.1, 0.03)
-MAX_MISS = 0.01  # of a target that is reached
+MAX_MISS = 0.01  # Relative excess of a target that is reached.
 
 
 def measure_speed(given: Namespace) -> dict[str, Any]:

@@ -25,8 +25,8 @@ from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
 PAPER_COUNTS = (1872, 1194, 1135, 1055, 893, 676)  # vertices of the head in Figure 4; those between the first and the last from their faces
 COLUMNS, ROWS = 36, 52  # angles and heights of the head in Figure 4
-DENSITY = 2  # of the dense bodies of Figure 10 relative to the simplified ones, along both directions
-NOISE = 0.003  # of the radius
+DENSITY = 2  # Density of the dense bodies of Figure 10 relative to the simplified ones, along both directions.
+NOISE = 0.003  # Relative to the radius.
 BUMPS_OF_HEAD = (  # angle, height, widths, and height of a bump on the head: nose, eyes, brow, mouth, chin, ears
     (0.0, 0.0, 0.14, 0.16, 0.25),
     (0.32, 0.14, 0.13, 0.07, -0.06),

@@ -27,10 +27,9 @@ import texmesh_files
 import texmesh_models
 import texmesh_peers
 from PIL import Image
+from texmesh_deviation import make_refit_levels, measure_geometric_deviation, measure_texture_deviation
 
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.texmesh.refitting.deviation import measure_geometric_deviation, measure_texture_deviation
-from farfield.addon.core.texmesh.refitting.refit import make_refit_levels
 from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 from lib import command_line
@@ -38,8 +37,8 @@ from lib import command_line
 FRACTIONS = (0.5, 0.25, 0.1, 0.03)
 TUNING_MODELS = ("spot", "planet:1")
 MAX_TEXTURE_RATIO = 0.7
-MAX_EXCESS = 1.02  # of a target that a peer may have and still reaches it
-MIN_REACHED = 0.9  # of a target; with fewer triangles a peer is not comparable
+MAX_EXCESS = 1.02  # A peer with at most this multiple of a target reaches it.
+MIN_REACHED = 0.9  # A peer with less than this fraction of a target is not comparable.
 SAMPLES = 50_000
 
 

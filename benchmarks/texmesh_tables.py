@@ -80,7 +80,7 @@ def _join_sizes(sizes: list[list[int]]) -> str:
 
 
 def build_refits(models: dict[str, Any]) -> str:
-    """Return the deviations of refit levels beside those of other programs."""
+    """Return the deviations of refit levels compared with those of other programs."""
     rows = []
     for name, model in models.items():
         for part in [key for key in model if key.endswith("%")]:
@@ -99,7 +99,7 @@ def build_refits(models: dict[str, Any]) -> str:
             mean = f"{1e4 * own['texture']['from_fine']['mean']:.2f}"
             rows.append([name, part, count, mean, *texture, *sides, both, ", ".join(left_out) or "none", model["cpu_seconds"]])
     titles = ["model", "part", "triangles", "texture mean, 1e-4", "ratio, named peers", "ratio, all peers", "geometric mean ratios"]
-    return _table([*titles, "geometric maximum ratios", "maximum, both sides", "peers beside the target", "CPU s"], rows)
+    return _table([*titles, "geometric maximum ratios", "maximum, both sides", "peers that miss the target", "CPU s"], rows)
 
 
 def _divide(level: dict[str, Any], peers: Sequence[str], measure: Callable[[dict[str, Any]], float]) -> str:
@@ -119,7 +119,7 @@ def build_targets(models: dict[str, Any]) -> str:
 
 
 def build_paper(figures: dict[str, Any]) -> str:
-    """Return the tables beside Figures 4, 10 and 11."""
+    """Return the tables to compare with Figures 4, 10 and 11."""
     scales = [str(scale) for scale in range(LAST_SCALE + 1)]
     counts = _table(["vertices", *scales], [[name, *values] for name, values in figures["figure_4"].items()])
     ranges = _table(["range", *scales], [[name, *(f"{value:.2f}" for value in values)] for name, values in figures["figure_10"].items()])

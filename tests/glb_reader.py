@@ -37,7 +37,8 @@ COUNTS = {name: count for count, name in TYPES.items()}
 TRIANGLES = 4  # primitive mode
 MAX_INDEX = 2**31 - 1
 MAX_EXPANSION = 64  # bytes of all arrays and images relative to the file, whose parts can be used repeatedly
-DAMAGES = (ValueError, TypeError, LookupError, AttributeError, OverflowError, RecursionError)  # of JSON that is not what glTF prescribes
+# What JSON raises that is not as glTF prescribes.
+DAMAGES = (ValueError, TypeError, LookupError, AttributeError, OverflowError, RecursionError)
 
 
 @dataclass(eq=False)

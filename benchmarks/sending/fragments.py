@@ -17,9 +17,9 @@ from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
 FRAGMENT_UNIT = 16  # pixels; macroblocks of JPEG
 DEFAULT_FRAGMENT = 32
-DEFAULT_TOLERANCE = 20.0  # of qualities around that of a scale
+DEFAULT_TOLERANCE = 20.0  # Deviation of qualities from that of a scale.
 MAX_QUALITY = 100
-UNFRAGMENTED_QUALITY = 100  # of the file of the image that is put together from fragments, "without further compression"
+UNFRAGMENTED_QUALITY = 100  # Quality of the file of the image that is put together from fragments, "without further compression".
 
 
 @dataclass(frozen=True, eq=False)

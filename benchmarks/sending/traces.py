@@ -10,7 +10,7 @@ import numpy as np
 
 from farfield.addon.core.errors import FileError
 
-PACKET_BYTES = 1500  # of one line of a file of Mahimahi
+PACKET_BYTES = 1500  # Bytes of one line of a file of Mahimahi.
 PACKET_INTERVAL = 0.1  # seconds over which packets are averaged
 MAX_TRACE_BYTES = 64 * 2**20
 MAX_TRACE_SECONDS = 86400.0

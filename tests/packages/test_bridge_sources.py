@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from farfield.addon.bridge.packages.images import PackageImages
-from farfield.addon.bridge.packages.materials import read_material
-from farfield.addon.bridge.packages.sources import read_package_source
+from farfield.addon.bridge.packages.sources import read_material, read_package_source
 from farfield.addon.core.imaging.colors import LINEAR_OF_BYTE
 from textured_scenes import checker_image, textured_ball, textured_material
 

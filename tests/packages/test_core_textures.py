@@ -18,8 +18,7 @@ from farfield.addon.core.packages.settings import PackageSettings
 from farfield.addon.core.packages.textures.avif_files import decode_tile
 from farfield.addon.core.packages.textures.best_state import Choice, choose_state, measure_error
 from farfield.addon.core.packages.textures.building import BuiltTextures, build_textures
-from farfield.addon.core.packages.textures.coding import COMPLETE, MISSING, VARIANTS, CodedTexture, code_texture
-from farfield.addon.core.packages.textures.decoding import decode_textures
+from farfield.addon.core.packages.textures.coding import COMPLETE, MISSING, VARIANTS, CodedTexture, code_texture, decode_textures
 from farfield.addon.core.packages.textures.texture_errors import TextureErrors, values_of_bytes
 from farfield.addon.core.packages.textures.texture_tiles import TextureSource, TileGrid, check_source, fill_unused, find_used_texels
 from farfield.addon.core.packages.textures.tile_states import choose_states, order_tiles

@@ -16,7 +16,7 @@ from farfield.addon.core.packages.files import LEVELS_GLB, read_package, read_pa
 from farfield.addon.core.packages.manifest import MANIFEST, MESH, TEXTURES
 from farfield.addon.core.packages.package import build_package
 from farfield.addon.core.packages.settings import PackageSettings
-from farfield.addon.core.packages.textures.decoding import decode_textures
+from farfield.addon.core.packages.textures.coding import decode_textures
 from farfield.addon.core.texmesh.settings import TexmeshSettings
 from glb_reader import read_glb
 from lib import command_line, scene_files

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from farfield.addon.bridge.texmesh.ring_overlay import ring_around_box
+from farfield.addon.bridge.texmesh.scale_attributes import color_scales
 from farfield.addon.core.errors import SettingsError
 from farfield.addon.core.geometry.cameras import Camera, distance_to_box
 from farfield.addon.core.texmesh.figures import read_figures, step_function
 from farfield.addon.core.texmesh.perception.calibration import Answer, estimate_threshold
 from farfield.addon.core.texmesh.perception.recorded_answers import RecordedAnswer, estimate_recorded, read_answers, write_answers
 from farfield.addon.core.texmesh.perception.trial_view import TrialView
-from farfield.addon.core.texmesh.scale_colors import color_scales
-from farfield.addon.core.texmesh.switch_rings import ring_around_box
 
 FIGURES = {
     "levels": [{"triangles": 1000}, {"triangles": 250}, {"triangles": 31}],

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from texmesh_deviation import measure_geometric_deviation, measure_texture_deviation
 
 from farfield.addon.core.geometry.mesh import TriangleMesh, concatenate
 from farfield.addon.core.texmesh.refitting.correspondence import compute_uv_scale, find_correspondence, match_islands, sample_surface
-from farfield.addon.core.texmesh.refitting.deviation import measure_geometric_deviation, measure_texture_deviation
 from farfield.addon.core.texmesh.simplification.topology import find_islands
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 from tests.shapes import sheet

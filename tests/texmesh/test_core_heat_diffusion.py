@@ -7,14 +7,14 @@ import shapes
 from farfield.addon.core.geometry.edges import find_edges
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.texmesh.scale_space.diffusion import build_levels, choose_times, diffuse, find_aggregates
-from farfield.addon.core.texmesh.scale_space.mesh_operators import (
+from farfield.addon.core.texmesh.scale_space.analysis import (
     assemble_laplacian,
     integrate_mean_curvature,
     integrate_over_vertices,
     mollify_lengths,
     triangle_areas,
 )
+from farfield.addon.core.texmesh.scale_space.diffusion import build_levels, choose_times, diffuse, find_aggregates
 
 
 def laplacian_and_masses(mesh: TriangleMesh):

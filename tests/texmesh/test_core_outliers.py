@@ -4,16 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from texmesh_deviation import make_refit_levels, measure_geometric_deviation
 
 from farfield.addon.core.geometry.distance import closest_on_mesh
 from farfield.addon.core.geometry.mesh import TriangleMesh, face_areas_and_normals
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.refitting.correspondence import sample_surface
-from farfield.addon.core.texmesh.refitting.deviation import measure_geometric_deviation
 from farfield.addon.core.texmesh.refitting.level_state import LevelState, attach
 from farfield.addon.core.texmesh.refitting.outlier_repair import approach, avoid_folds, flip_outliers, unfold
 from farfield.addon.core.texmesh.refitting.outliers import ATTRACTED_FRACTION, FineSurface, gather_points, measure_distances
-from farfield.addon.core.texmesh.refitting.refit import make_refit_levels
 from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.core.texmesh.simplification.topology import find_islands
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh

@@ -8,8 +8,7 @@ from farfield.addon.core.errors import GeometryError
 from farfield.addon.core.geometry.mesh import TriangleMesh, concatenate
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.scale_space.analysis import analyze_scale_space
-from farfield.addon.core.texmesh.scale_space.paper_mode import RangeFilter, find_zero_crossings
-from farfield.addon.core.texmesh.scale_space.range_image import build_range_image
+from farfield.addon.core.texmesh.scale_space.range_image import RangeFilter, build_range_image, find_zero_crossings
 from farfield.addon.core.texmesh.settings import AnalysisSettings
 from farfield.addon.core.texmesh.textured_mesh import build_textured_mesh
 

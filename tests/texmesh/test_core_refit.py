@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from texmesh_deviation import make_refit_levels, measure_geometric_deviation, measure_texture_deviation
 
 from farfield.addon.core.geometry.edges import find_edges, halfedge_ends
 from farfield.addon.core.geometry.mesh import concatenate
@@ -11,12 +12,11 @@ from farfield.addon.core.geometry.transforms import signed_areas
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.refitting.border_curves import find_border_curves, find_border_halfedges
 from farfield.addon.core.texmesh.refitting.correspondence import sample_surface
-from farfield.addon.core.texmesh.refitting.deviation import measure_geometric_deviation, measure_texture_deviation
 from farfield.addon.core.texmesh.refitting.edge_flips import flip_edges
 from farfield.addon.core.texmesh.refitting.edge_splits import split_edges
 from farfield.addon.core.texmesh.refitting.least_squares import Linearization, compute_moments
 from farfield.addon.core.texmesh.refitting.level_state import LevelState, attach
-from farfield.addon.core.texmesh.refitting.refit import make_refit_levels, refit, sum_costs
+from farfield.addon.core.texmesh.refitting.refit import refit, sum_costs
 from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.core.texmesh.simplification.levels import extract_level, simplify_by_cost
 from farfield.addon.core.texmesh.simplification.topology import find_islands

@@ -12,7 +12,7 @@ from ..texmesh.color_images import MAX_SIDE as MAX_ANALYZED_SIDE
 from ..texmesh.color_images import check_pixels, read_color_image, scaled_copy
 
 MAX_SIDE = 8192  # pixels; larger images are scaled down
-MEAN = -1  # of the channels
+MEAN = -1  # The mean of the channels instead of one of them.
 
 
 class PackageImages:

@@ -20,7 +20,7 @@ NORMAL_STEPS = 1023.0  # normals of a vertex that are equal to 1/NORMAL_STEPS ar
 
 
 def write_levels(sets: Sequence[LevelSet], path: Path, is_quantized: bool = True, is_one_file: bool = False) -> list[Path]:
-    """Write levels and return the files: `path` if it is one file, otherwise one per level beside it, see `level_path`.
+    """Write levels and return the files: `path` if it is one file, otherwise one per level next to it, see `level_path`.
 
     File N has level N of every object, or its coarsest one. All files appear, or none.
 

@@ -24,7 +24,7 @@ from .temporary_visibility import restore
 LEVEL = "texmesh_level"  # the KIND of the objects
 NUMBER, ERROR, TRIANGLES = "farfield_level", "farfield_error", "farfield_triangles"
 SWITCH_DISTANCE = "farfield_switch_distance"  # in units of the object, for the display that the levels were made for
-FIGURES = "farfield_texmesh_figures"  # of the collection: JSON about how the levels were made
+FIGURES = "farfield_texmesh_figures"  # Property of the collection: JSON about how the levels were made.
 
 
 @dataclass(frozen=True)

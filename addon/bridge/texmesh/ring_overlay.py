@@ -1,5 +1,6 @@
 """Overlay of switch rings: where in the horizontal plane a 3D Viewport would have to be for a level to switch."""
 
+import math
 from typing import Any
 
 import blf
@@ -10,7 +11,6 @@ from bpy_extras.view3d_utils import location_3d_to_region_2d
 from gpu_extras.batch import batch_for_shader
 
 from ...core.geometry.cameras import Camera
-from ...core.texmesh.switch_rings import ring_around_box
 from ..viewers import viewport_camera
 from .level_sets import LevelSet, level_sets_in
 
@@ -80,6 +80,22 @@ def _find_context_rings() -> list[tuple[int, np.ndarray]]:
         return []
     camera = viewport_camera(context.region_data, context.region.width)
     return [ring for levels in level_sets_in(context.scene) for ring in find_rings(levels, camera)]
+
+
+def ring_around_box(low: np.ndarray, high: np.ndarray, distance: float, corner_segments: int = 16) -> np.ndarray:
+    """Return a closed line (4 (S + 1), 3) float64 at `distance` from the box from `low` (3,) to `high` (3,), at half its height.
+
+    Levels switch by the distance to the box, so the line is a rectangle with rounded corners, of S `corner_segments` each. It starts at the
+    corner with the largest x and y, and runs counterclockwise seen from above.
+    """
+    angles = np.linspace(0.0, 0.5 * math.pi, corner_segments + 1)
+    corners = [(high[0], high[1]), (low[0], high[1]), (low[0], low[1]), (high[0], low[1])]
+    arcs = []
+    for quarter, (x, y) in enumerate(corners):
+        turned = angles + 0.5 * math.pi * quarter
+        arcs.append(np.column_stack([x + distance * np.cos(turned), y + distance * np.sin(turned)]))
+    ring = np.concatenate(arcs)
+    return np.column_stack([ring, np.full(len(ring), 0.5 * (low[2] + high[2]))])
 
 
 overlay = RingOverlay()

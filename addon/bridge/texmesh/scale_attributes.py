@@ -1,12 +1,18 @@
-"""The scale map as an attribute of a mesh."""
+"""The last scales at which vertices are features, as an attribute of meshes, and an overlay that colors vertices by them."""
+
+from collections.abc import Callable, Hashable
 
 import bpy
 import numpy as np
 
-from ...core.texmesh.scale_space.features import ScaleMap
+from ...core.texmesh.scale_space.features import SCALES, ScaleMap
+from ..geometry.mesh_arrays import read_loop_triangles, read_loop_vertices, read_positions, read_values
+from ..overlays.face_overlay import FaceColors, FaceOverlay, offset_from_faces
 from .sources import TexturedSource
 
 SCALE_ATTRIBUTE = "farfield_scale"  # integer attribute of vertices: the last scale at which they are features
+RAMP = np.array([[0.20, 0.22, 0.55], [0.13, 0.45, 0.60], [0.15, 0.65, 0.45], [0.60, 0.80, 0.20], [1.00, 0.88, 0.12]])  # sRGB
+OPACITY = 0.9
 
 
 def find_vertex_scales(source: TexturedSource, scale_map: ScaleMap) -> np.ndarray:
@@ -45,3 +51,39 @@ def read_scales(mesh: bpy.types.Mesh) -> np.ndarray | None:
         return None  # in Edit Mode
     attribute.data.foreach_get("value", scales)
     return scales
+
+
+class ScaleOverlay(FaceOverlay):
+    """The colors of all meshes that have been analyzed, read from them whenever they change.
+
+    read_lowest: returns the scale at which the smallest colored features end.
+    """
+
+    def __init__(self, read_lowest: Callable[[], int]) -> None:
+        super().__init__()
+        self._read_lowest = read_lowest
+
+    def find_key(self, item: bpy.types.Object) -> Hashable:
+        """Return the name of an object's mesh, and the lowest scale; None if the mesh has not been analyzed."""
+        if item.type != "MESH" or SCALE_ATTRIBUTE not in item.data.attributes:
+            return None
+        return item.data.name_full, self._read_lowest()
+
+    def read_colors(self, item: bpy.types.Object) -> FaceColors | None:
+        """Return the colors of an object's mesh; None if it has no scales, for instance in Edit Mode."""
+        mesh = item.data
+        scales = read_scales(mesh)
+        if scales is None or not len(scales):
+            return None
+        positions = offset_from_faces(read_positions(mesh), read_values(mesh.vertex_normals, "vector", 3))
+        loops, _ = read_loop_triangles(mesh)
+        triangles = read_loop_vertices(mesh)[loops]
+        return FaceColors(positions[triangles], color_scales(scales, self._read_lowest())[triangles])
+
+
+def color_scales(scales: np.ndarray, lowest: int) -> np.ndarray:
+    """Return colors with opacity (N, 4) float32, sRGB, of last `scales` (N,); those below `lowest` are transparent."""
+    fractions = np.clip(np.asarray(scales, np.float64) / (SCALES - 1), 0.0, 1.0)
+    stops = np.linspace(0.0, 1.0, len(RAMP))
+    colors = [np.interp(fractions, stops, RAMP[:, channel]) for channel in range(3)]
+    return np.stack([*colors, np.where(np.asarray(scales) >= lowest, OPACITY, 0.0)], axis=1).astype(np.float32)

@@ -21,10 +21,14 @@ from .color_images import find_color_images, read_color_image
 class TexturedSource:
     """One object that levels are made from.
 
-    name, object_uid: of the object. mesh: in object space; its attributes are those named in `attributes` with their widths, in this
-    order: the normals of smooth faces, and the color attributes at corners. evaluated: what `mesh.sources` refers to: row 3 t + c is corner
-    c of its triangle t. uv_map: the UV map that the levels get. textures: (H, W, 3) float32 scene-linear by material, None where there is
-    none. remarks: sentences about what was read in another way than a user may expect.
+    Attributes:
+        name, object_uid: of the object.
+        mesh: in object space.
+        evaluated: what `mesh.sources` refers to: row 3 t + c is corner c of its triangle t.
+        uv_map: the UV map that the levels get.
+        attributes: names and widths of those of the mesh, in their order: normals of smooth faces, and color attributes at corners.
+        textures: (H, W, 3) float32 scene-linear by material, None where there is none.
+        remarks: sentences about what was read in another way than a user may expect.
     """
 
     name: str

@@ -24,8 +24,12 @@ ROW_BYTES = sum(FIELDS.values())
 class Increments:
     """N increments in the order of the file.
 
-    textures: (N,) int64. tiles: (N,) int64, numbers in the pyramid of the texture, see `TilePyramid`. headers: (N,) int64, the header of
-    the tile, of those of its texture. sizes: (N,) int64, bytes. firsts, lasts: (N,) int64, the first and the last state that have it.
+    Attributes:
+        textures: (N,) int64.
+        tiles: (N,) int64, numbers in the pyramid of the texture, see `TilePyramid`.
+        headers: (N,) int64, the header of the tile, of those of its texture.
+        sizes: (N,) int64, bytes.
+        firsts, lasts: (N,) int64, the first and the last state that have it.
     """
 
     textures: np.ndarray

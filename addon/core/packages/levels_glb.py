@@ -12,7 +12,7 @@ from ..texmesh.perception.switch_distances import level_coverages
 from ..texmesh.textured_mesh import TexturedMesh
 from .material_sources import MaterialSource
 
-QUALITY = 95  # of JPEG
+QUALITY = 95  # Quality of JPEG.
 
 
 def encode_levels(name: str, chain: LevelChain, materials: Sequence[MaterialSource]) -> bytes:

@@ -28,10 +28,10 @@ MAX_MANIFEST_BYTES = 16 * 2**20
 MAX_FILE_BYTES = 2**40
 MANIFEST, MESH, TEXTURES = "manifest.json", "mesh.bin", "textures.bin"
 MAX_TEXTURE_SIDE = 65536
-MAX_STEPS = 65535  # of positions and texture coordinates, which are 16-bit numbers
-MAX_TILES = 65536  # of one texture: tile indices are 16 bits
-MAX_STATES = 64  # of textures: the controller of a page compares all
-MIN_EXPONENT, MAX_EXPONENT = 1.0, 8.0  # of errors that combine
+MAX_STEPS = 65535  # Positions and texture coordinates are 16-bit numbers.
+MAX_TILES = 65536  # Tiles of one texture, as tile indices have 16 bits.
+MAX_STATES = 64  # States of textures; the controller of a page compares all.
+MIN_EXPONENT, MAX_EXPONENT = 1.0, 8.0  # Exponents with which errors combine.
 ROLES = ("base_color", "normal", "roughness", "metallic", "occlusion", "emission")
 
 

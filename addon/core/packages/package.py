@@ -26,18 +26,26 @@ from .mesh.order import order_mesh
 from .planning import ErrorTable, PlanRow, make_plan, measure_errors
 from .settings import PackageSettings
 from .textures.building import BuiltTextures, build_textures
-from .textures.decoding import decode_textures
+from .textures.coding import decode_textures
 from .textures.texture_tiles import TextureSource
 
-STATES = 6  # of the textures, whose errors are measured
-MIN_BITS, MAX_BITS = 8, 16  # of positions and texture coordinates
+STATES = 6  # Errors of so many states of the textures are measured.
+MIN_BITS, MAX_BITS = 8, 16  # Bits of positions and texture coordinates.
 POSITION_BITS, UV_BITS = 4, 2  # below a pixel and a texel
 EncodedMesh = tuple[bytes, tuple[MeshLevel, ...], Bounds, Bounds]
 
 
 @dataclass(frozen=True)
 class PackageReport:
-    """Figures about a package. levels: triangles, finest first. plan: the best uses of growing numbers of bytes."""
+    """Figures about a package.
+
+    Attributes:
+        name: of the object.
+        levels: triangles, finest first.
+        mesh_bytes, texture_bytes: of mesh.bin and textures.bin.
+        table: the measured errors.
+        plan: the best uses of growing numbers of bytes.
+    """
 
     name: str
     levels: tuple[int, ...]

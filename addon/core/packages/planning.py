@@ -24,7 +24,7 @@ MAX_IMAGE = 512  # pixels of the renders: larger objects are seen in parts, and 
 VIEWS = 3
 MIN_ERROR = 1e-6  # smaller measured errors count as this, relative to others
 MIN_PREDICTED = 1e-3  # that matters in ratios of errors
-DECIMALS = 4  # of predicted errors
+DECIMALS = 4  # Decimals of predicted errors.
 Textures = Sequence[Mipmaps | None]
 
 
@@ -32,8 +32,12 @@ Textures = Sequence[Mipmaps | None]
 class ErrorTable:
     """Mean FLIP errors over the pixels of the object.
 
-    level_errors: (K,) of levels with the whole texture, coarsest first. states: (P,) ascending, of the textures. texture_errors: (P,) of
-    the finest level with them. exponent: p. residual: largest difference between predicted and measured errors of combinations.
+    Attributes:
+        level_errors: (K,) of levels with the whole texture, coarsest first.
+        states: (P,) ascending, of the textures.
+        texture_errors: (P,) of the finest level with them.
+        exponent: p.
+        residual: largest difference between predicted and measured errors of combinations.
     """
 
     level_errors: np.ndarray

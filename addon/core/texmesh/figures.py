@@ -9,16 +9,19 @@ import numpy as np
 
 from ..errors import SettingsError
 
-MAX_FIGURES = 10_000  # of a kind
+MAX_FIGURES = 10_000  # Limit of the figures of each kind.
 
 
 @dataclass(frozen=True)
 class LevelFigures:
     """Figures about levels and how they were made.
 
-    features: (21,) vertices that are features at each scale or a later one. ranges: (21,), Figure 10. candidate_triangles, candidate_sizes:
-    of all levels that were tried, finest first; sizes are pixel sizes in the unit of the mesh. weber_fractions: of the refinement to each
-    candidate from the next one. level_triangles: of the levels, the original first.
+    Attributes:
+        features: (21,) vertices that are features at each scale or a later one.
+        ranges: (21,), Figure 10.
+        candidate_triangles, candidate_sizes: of all levels that were tried, finest first; sizes are pixel sizes in the unit of the mesh.
+        weber_fractions: of the refinement to each candidate from the next one.
+        level_triangles: of the levels, the original first.
     """
 
     features: np.ndarray

@@ -25,7 +25,16 @@ FOLDER = {"name": "Folder", "description": "Folder for the package; files of an 
 
 @dataclass
 class PackageJob:
-    """Builds packages and writes them: into the folder, or for several objects into folders in it. It does not change the scene."""
+    """Builds packages and writes them. It does not change the scene.
+
+    Attributes:
+        sources: the objects.
+        settings: of the levels.
+        package_settings: of the packages.
+        folder: of the package; for several objects it has a folder for each.
+        skipped: names of other objects with the reason.
+        reports: about the packages that are written.
+    """
 
     core_fraction = 0.999
 

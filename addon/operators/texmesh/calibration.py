@@ -31,7 +31,14 @@ _run: CalibrationRun | None = None  # handlers of Blender end the one that runs
 
 @dataclass(frozen=True)
 class _ViewportState:
-    """What the calibration changes in a 3D Viewport."""
+    """What the calibration changes in a 3D Viewport.
+
+    Attributes:
+        has_overlays, has_gizmos: whether they are shown.
+        shading: of the 3D Viewport.
+        color: how objects are colored.
+        perspective: of the region.
+    """
 
     has_overlays: bool
     has_gizmos: bool

@@ -20,7 +20,7 @@ from ...core.texmesh.perception.trial_view import DEPTH, TrialView
 
 ANSWERS = "farfield_texmesh_answers"  # custom property of a scene: JSON with the answers about all objects
 STEP = 1.04  # factor of the distance per step
-MAX_FACTOR = 8.0  # of the distance of the coarsest level
+MAX_FACTOR = 8.0  # Relative to the distance of the coarsest level.
 TURN = math.radians(40.0)  # per second
 
 

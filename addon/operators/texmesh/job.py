@@ -25,7 +25,7 @@ from ...core.texmesh.settings import AnalysisSettings, SceneSettings, TexmeshSet
 from .rebaking import create_images, read_textures, rebake_chain
 from .sources import read_sources
 
-REBAKE_FRACTION = 0.3  # of the progress of an object
+REBAKE_FRACTION = 0.3  # This part of the progress of an object is rebaking.
 
 
 @dataclass
@@ -68,8 +68,17 @@ class AnalysisJob:
 
 @dataclass
 class LevelsJob:
-    """Makes levels of meshes and adds their objects. `chains` holds the levels by the name of their collection. rebake_textures: what
-    textures are rebaked from, per source, None to keep them."""
+    """Makes levels of meshes and adds their objects.
+
+    Attributes:
+        sources: the meshes.
+        settings: of the levels.
+        scene_settings: what happens in the scene.
+        scene_uid: the scene that gets the levels.
+        skipped: names of other objects with the reason.
+        rebake_textures: what textures are rebaked from, per source, None to keep them.
+        chains: the levels by the name of their collection.
+    """
 
     core_fraction = 0.95
 

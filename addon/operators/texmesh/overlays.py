@@ -9,8 +9,7 @@ import numpy as np
 from ...bridge.imaging.images import create_image
 from ...bridge.overlays.line_chart import draw_line_chart
 from ...bridge.texmesh.level_sets import ERROR, FIGURES, SWITCH_DISTANCE, LevelSet, find_level_set
-from ...bridge.texmesh.scale_attributes import SCALE_ATTRIBUTE, read_scales
-from ...bridge.texmesh.scale_overlay import ScaleOverlay
+from ...bridge.texmesh.scale_attributes import SCALE_ATTRIBUTE, ScaleOverlay, read_scales
 from ...core.errors import SettingsError
 from ...core.texmesh.figures import read_figures, step_function
 from ...core.texmesh.scale_space.features import SCALES

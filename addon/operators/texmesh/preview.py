@@ -134,7 +134,7 @@ class LevelPreview:
             return True
         scene, area = find_viewport(self._area_address)
         if area is not None:
-            window_region = [region for region in area.regions if region.type == "WINDOW"][-1]  # of four, the one of region_3d
+            window_region = [region for region in area.regions if region.type == "WINDOW"][-1]  # The last of four is that of region_3d.
             self.update(viewport_camera(area.spaces.active.region_3d, window_region.width), scene, time.monotonic())
         return True
 

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from reference.sections import IntegerReader, damage, decode_signed
 
-from farfield.addon.core.packages.mesh.coarse_fans import CoarseFans
-from farfield.addon.core.packages.mesh.connectivity import ADDED_WEDGE, CANDIDATE, EXPLICIT_PARENT, SAME_WEDGE
+from farfield.addon.core.packages.mesh.connectivity import ADDED_WEDGE, CANDIDATE, EXPLICIT_PARENT, SAME_WEDGE, CoarseFans
 from farfield.addon.core.packages.mesh.traversal import BOTH, BOUNDARY, LEFT, NEW, OTHER, RIGHT
 
 Triple = tuple[int, int, int]

@@ -1,14 +1,15 @@
 """Symbols that encode the triangles of levels, and the references from which positions and texture coordinates are predicted.
 
 The vertices and wedges that a level adds are numbered in the order in which its triangles meet them, so that most triangles are one symbol.
-A vertex of a coarser level that is met is mostly the parent of an added vertex nearby.
+A vertex of a coarser level that is met is mostly the parent of an added vertex nearby. Collapses map each triangle of the finer level to a
+triangle of the coarser one, to an edge or to a vertex. So the third vertex of a triangle belongs to the first or second one, or to the
+vertex on their side of the edge between these, or is next to them.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from .coarse_fans import CoarseFans
 from .order import OrderedLevel, OrderedMesh
 from .sections import encode_integers, encode_signed
 from .traversal import BOUNDARY, NEW, OTHER
@@ -16,15 +17,64 @@ from .traversal import BOUNDARY, NEW, OTHER
 CANDIDATE = 6  # the first of the symbols beyond those of `traversal`: the vertex is a candidate of `CoarseFans`
 EXPLICIT_PARENT = 255  # symbol of a parent that is none of them
 SAME_WEDGE, ADDED_WEDGE, OTHER_WEDGE = 0, 1, 2  # codes of wedges: the predicted one, an added one, the first of the others in the ring
+FIRST, SECOND, THIRD, RING = range(4)  # candidates: RING + k is the next vertex in the triangle k of the fan of the first one
+MAX_CANDIDATE = 239
+
+
+class CoarseFans:
+    """Fans of the vertices of a level: triangles in ascending order."""
+
+    def __init__(self, triangles: np.ndarray, vertex_count: int) -> None:
+        """triangles: (T, 3) vertices below `vertex_count`."""
+        corners = triangles.reshape(-1)
+        order = np.argsort(corners, kind="stable")
+        self._starts = np.concatenate([[0], np.cumsum(np.bincount(corners, minlength=vertex_count))]).tolist()
+        self._nexts = np.roll(triangles, -1, axis=1).reshape(-1)[order].tolist()
+        self._thirds = np.roll(triangles, -2, axis=1).reshape(-1)[order].tolist()
+
+    def find_index(self, vertex: int, near: tuple[int, int, int]) -> int:
+        """Return which candidate `vertex` is, -1 if it is none. near: the vertices to which start, end and apex of an edge belong."""
+        first, second, _ = near
+        if vertex == first:
+            return FIRST
+        if vertex == second:
+            return SECOND
+        if vertex == self._find_third(near):
+            return THIRD
+        begin, end = self._starts[first], min(self._starts[first + 1], self._starts[first] + MAX_CANDIDATE + 1 - RING)
+        for slot in range(begin, end):
+            if self._nexts[slot] == vertex:
+                return RING + slot - begin
+        return -1
+
+    def find_candidate(self, index: int, near: tuple[int, int, int]) -> int:
+        """Return the candidate `index`, -1 if there is none."""
+        if index in (FIRST, SECOND):
+            return near[index]
+        if index == THIRD:
+            return self._find_third(near)
+        slot = self._starts[near[0]] + index - RING
+        return self._nexts[slot] if slot < self._starts[near[0] + 1] else -1
+
+    def _find_third(self, near: tuple[int, int, int]) -> int:
+        first, second, apex = near
+        if first != second:
+            for slot in range(self._starts[first], self._starts[first + 1]):
+                if self._nexts[slot] == second:
+                    return self._thirds[slot]
+        return apex
 
 
 @dataclass(frozen=True)
 class LevelSymbols:
     """The code of a level, given coarser ones.
 
-    symbols: one byte per examined edge of the border. vertices, wedges, parents: LEB128 integers: explicit vertices, codes of wedges,
-    explicit parents. parent_symbols: one byte per added vertex. vertex_references: (N, 3) of the N added vertices: a position is
-    predicted to be first + second - third. wedge_references: (M, 3), the same for the texture coordinates of the M added wedges.
+    Attributes:
+        symbols: one byte per examined edge of the border.
+        vertices, wedges, parents: LEB128 integers: explicit vertices, codes of wedges, explicit parents.
+        parent_symbols: one byte per added vertex.
+        vertex_references: (N, 3) of the N added vertices: a position is predicted to be first + second - third.
+        wedge_references: (M, 3), the same for the texture coordinates of the M added wedges.
     """
 
     symbols: bytes
@@ -41,11 +91,11 @@ class ConnectivityEncoder:
 
     def __init__(self, ordered: OrderedMesh) -> None:
         self._wedge_vertices = ordered.wedge_vertices
-        self._triangles = np.zeros((0, 3), np.int32)  # of the last level
+        self._triangles = np.zeros((0, 3), np.int32)  # The triangles of the last level.
         self._vertices = ordered.wedge_vertices.tolist()
         self._parents = ordered.parents.tolist()
         self._next_wedges = list(range(len(self._vertices)))  # the next wedge of the same vertex, in a ring
-        self._first_wedges: list[int] = []  # of each vertex so far
+        self._first_wedges: list[int] = []  # The first wedge of each vertex so far.
         self._wedge_count = 0
 
     def encode(self, level: OrderedLevel) -> LevelSymbols:

@@ -14,15 +14,18 @@ from ...texmesh.simplification.levels import Simplification, SubsetLevel
 from ...texmesh.textured_mesh import TexturedMesh
 from .traversal import Traversal, traverse
 
-MAX_CHAIN = 10_000  # of collapses between two levels that are followed to find the parent of a vertex
+MAX_CHAIN = 10_000  # So many collapses between two levels are followed to find the parent of a vertex.
 
 
 @dataclass(frozen=True)
 class OrderedLevel:
     """A level whose vertices and wedges are the first of an `OrderedMesh`.
 
-    triangles: (T, 3) int32 into wedges, in ascending order of their materials (T,) int32. traversal: of those triangles; corner 3 t + c of
-    the traversal is corner c of triangles[t].
+    Attributes:
+        vertex_count, wedge_count: how many of them.
+        triangles: (T, 3) int32 into wedges, in ascending order of their materials.
+        materials: (T,) int32.
+        traversal: of those triangles; corner 3 t + c of the traversal is corner c of triangles[t].
     """
 
     vertex_count: int
@@ -36,9 +39,14 @@ class OrderedLevel:
 class OrderedMesh:
     """A mesh of V vertices and W wedges, numbered coarse first, and its levels, the coarsest first.
 
-    positions: (V, 3) float64. uvs: (W, 2) float64, v upwards. wedge_vertices: (W,) int32. parents: (V,) int32, a vertex of a coarser level,
-    onto which the vertex was collapsed in the end; -1 in the coarsest level. vertices: (V,) and wedges: (W,) int32, those of the fine mesh.
-    Wedges that differ in attributes only are one.
+    Attributes:
+        positions: (V, 3) float64.
+        uvs: (W, 2) float64, v upwards.
+        wedge_vertices: (W,) int32.
+        parents: (V,) int32, a vertex of a coarser level, onto which the vertex was collapsed in the end; -1 in the coarsest level.
+        vertices: (V,) int32, those of the fine mesh.
+        wedges: (W,) int32, those of the fine mesh; wedges that differ in attributes only are one.
+        levels: coarsest first.
     """
 
     positions: np.ndarray
@@ -140,7 +148,7 @@ def _find_ancestors(simplification: Simplification, rounds: np.ndarray) -> np.nd
     rounds: (V,) index of the coarsest level that has the vertex.
     """
     targets = np.full(len(rounds), -1)
-    targets[simplification.removed] = simplification.kept  # of several collapses of copies of a vertex, the last one
+    targets[simplification.removed] = simplification.kept  # The last of several collapses of copies of a vertex counts.
     ancestors = targets.copy()
     rows = np.arange(len(rounds))
     for _ in range(MAX_CHAIN):

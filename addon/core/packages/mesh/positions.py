@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 MAX_VALUE = 65535
-MIN_DETERMINANT = 1e-3  # of the covariance of the neighbors, divided by its squared trace: with less, they are nearly on a line
+# Determinant of the covariance of the neighbors, divided by its squared trace; with less, they are nearly on a line.
+MIN_DETERMINANT = 1e-3
 
 
 @dataclass(frozen=True)

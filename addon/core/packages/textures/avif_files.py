@@ -14,9 +14,9 @@ import numpy as np
 from ...errors import FileError
 from ...imaging.coded_images import DAMAGES
 
-SPEED = 6  # of the encoder; 4 takes four times as long for files that are 5 % smaller, 8 a third for files that are 25 % larger
+SPEED = 6  # Speed of the encoder; 4 takes four times as long for files that are 5 % smaller, 8 a third for files 25 % larger.
 LOCATION = struct.Struct(">IBBHHHHI")  # iloc up to the size: version and flags, sizes of fields, items, ID, references, extents, offset
-SIZE_FIELD = b"\0\0\0\0"  # of the payload, which is not known to the header
+SIZE_FIELD = b"\0\0\0\0"  # Size of the payload, which the header does not know.
 ITEM = 1
 META_VERSION = b"\0\0\0\0"
 Box = tuple[bytes, bytes]

@@ -13,7 +13,12 @@ from .coding import CodedTexture
 
 
 class Choice(NamedTuple):
-    """A tile of a state: texture, level, index of the variant, and row and column in the level."""
+    """A tile of a state.
+
+    Attributes:
+        texture, level, variant: indices.
+        row, column: in the level.
+    """
 
     texture: int
     level: int

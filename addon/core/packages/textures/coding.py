@@ -1,4 +1,5 @@
-"""One texture, coded: variants of all tiles of its pyramid, with their bytes and what viewers notice of their errors."""
+"""One texture, coded: variants of all tiles of its pyramid, with their bytes and what viewers notice of their errors; and
+textures as pixels again, in any state."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,18 +11,20 @@ import numpy as np
 from ...imaging.mipmaps import build_mipmaps
 from ...jobs.chunks import map_ordered
 from ...jobs.progress import Progress, Steps
+from ..increments import Increments
 from ..manifest import PackageTexture
 from ..tile_pyramid import TilePyramid, sum_tiles
 from .avif_files import decode_tile, encode_tile
-from .enlarging import sharpen_for_enlarging
+from .enlarging import enlarge, sharpen_for_enlarging
 from .texture_errors import TextureErrors, to_bytes, values_of_bytes
 from .texture_tiles import TextureSource, TileGrid, cut_tiles, fill_unused, find_used_texels, join_tiles
 from .visibility import BLOCK
 
-MISSING = 128  # of all channels of tiles that have not come
-FEW_TILES = 2  # of levels whose tiles have all variants, since one tile is much there; others have the COMMON ones
-FINER_TILES = (8, 16)  # of a level finer than images show, up to which it has three and two variants; there, details matter little
-MIN_VISIBILITY = 1e-3  # of blocks that no view shows, relative to the mean of the used ones
+MISSING = 128  # Value of all channels of missing tiles.
+FEW_TILES = 2  # Levels with so few tiles have all variants, since one tile is much there; others have the COMMON ones.
+# Levels finer than images show have three and two variants up to these numbers of tiles; details matter little there.
+FINER_TILES = (8, 16)
+MIN_VISIBILITY = 1e-3  # Visibility of blocks that no view shows, relative to the mean of the used ones.
 
 
 class Variant(NamedTuple):
@@ -32,7 +35,7 @@ class Variant(NamedTuple):
     is_sharpened: bool
 
 
-COMMON = (Variant(0.4, False), Variant(0.4, True), Variant(0.7, True), Variant(1.0, False))  # of all levels
+COMMON = (Variant(0.4, False), Variant(0.4, True), Variant(0.7, True), Variant(1.0, False))  # Variants of all levels.
 VARIANTS = (*COMMON, Variant(0.55, False), Variant(0.7, False), Variant(1.0, True))
 COMPLETE = 3  # index of the variant of complete textures
 UNSHARPENED = (0, 5, COMPLETE)  # indices of variants of levels that images do not show enlarged
@@ -49,10 +52,14 @@ class CodedTile(NamedTuple):
 class CodedTexture:
     """A texture with L levels of tiles in V = len(VARIANTS) variants.
 
-    texture: with the headers. pyramid: of tiles, of which level 0 has R rows and C columns. used: (R, C) bool, which of those triangles
-    show. tiles: by level, variant and number, of those that triangles show and variants that a level has. sizes: for each level (V, R', C')
-    bytes. errors: (L, V, R, C), of all tiles of level 0 if they are shown so: mean FLIP error of their pixels, times the fraction of all
-    pixels of the object that they are; infinite where a level does not have the variant.
+    Attributes:
+        texture: with the headers.
+        pyramid: of tiles, of which level 0 has R rows and C columns.
+        used: (R, C) bool, which of those triangles show.
+        tiles: by level, variant and number, of those that triangles show and variants that a level has.
+        sizes: for each level (V, R', C') bytes.
+        errors: (L, V, R, C), of all tiles of level 0 if they are shown so: mean FLIP error of their pixels, times the fraction of all
+            pixels of the object that they are; infinite where a level does not have the variant.
     """
 
     texture: PackageTexture
@@ -160,3 +167,40 @@ def _complete_visibility(visibility: np.ndarray, used: np.ndarray) -> np.ndarray
     common = common / common.sum() if common.any() else np.full(len(common), 1.0 / len(common))
     floor = MIN_VISIBILITY * max(float(total.sum()) / max(int(used.sum()), 1), 1e-9)
     return visibility + (np.where(used, np.maximum(floor - total, 0.0), 0.0)[..., None] * common).astype(np.float32)
+
+
+def decode_textures(
+    textures: Sequence[PackageTexture], increments: Increments, content: bytes | memoryview, state: int | None = None
+) -> list[np.ndarray]:
+    """Return the textures (H, W, 3) uint8, row 0 at the bottom, that a state has, the last one by default.
+
+    content: the bytes of the increments, one after the other.
+
+    Raises:
+        FileError: a tile is damaged.
+    """
+    parts = increments.split(content)
+    is_shown = increments.are_in(increments.state_count - 1 if state is None else state)
+    images = []
+    for index, texture in enumerate(textures):
+        side, pyramid = texture.tile_size, TilePyramid(texture.width, texture.height, texture.tile_size)
+        tiles = np.full((*pyramid.shapes[0], side, side, 3), MISSING, np.uint8)
+        show = partial(_show_increment, tiles, texture, pyramid, increments, parts)
+        for _ in map_ordered(show, np.flatnonzero((increments.textures == index) & is_shown).tolist()):
+            pass
+        images.append(join_tiles(tiles.reshape(-1, side, side, 3), TileGrid(texture.width, texture.height, side))[::-1])
+    return images
+
+
+def _show_increment(
+    tiles: np.ndarray, texture: PackageTexture, pyramid: TilePyramid, increments: Increments, parts: Sequence[memoryview], number: int
+) -> None:
+    """Write the pixels of an increment to `tiles` (R, C, S, S, 3) uint8."""
+    level, row, column = pyramid.locate(int(increments.tiles[number]))
+    coded = decode_tile(texture.headers[int(increments.headers[number])], parts[number], pyramid.side(level))
+    enlarged = enlarge(coded, level)
+    side = texture.tile_size
+    count = len(enlarged) // side
+    found = enlarged.reshape(count, side, count, side, 3).swapaxes(1, 2)
+    shown = tiles[pyramid.covered(level, row, column)]
+    shown[:] = found[: shown.shape[0], : shown.shape[1]]

@@ -14,9 +14,9 @@ from .enlarging import blur_as_enlarged, enlarge
 from .visibility import BLOCK, level_footprints
 
 COLOR_ROLES = {"base_color", "emission"}
-DATA_WEIGHT = 0.08  # of errors of roughness and the like, which change images less than colors do
+DATA_WEIGHT = 0.08  # Weight of errors of roughness and the like, which change images less than colors do.
 LIGHTS = np.float32([[0.5, 0.5, 0.7071], [-0.5, 0.5, 0.7071]])  # in which errors of normals are seen
-MIN_FRACTION = 0.1  # of the pixels of the object: resolutions that fewer of them show count as the next one
+MIN_FRACTION = 0.1  # Resolutions that a smaller fraction of the object's pixels shows count as the next one.
 STRIP_ROWS = 512  # compared at once
 Strip = tuple[np.ndarray, slice]
 

@@ -15,15 +15,19 @@ from ...texmesh.textured_mesh import TexturedMesh
 from ..manifest import MAX_TEXTURE_SIDE, MAX_TILES, ROLES
 
 MARGIN = 4  # texels around triangles that are used too: bilinear samples and mipmaps read them
-MAX_PERIODS = 16  # of a texture that repeats; with more, all of it is used
+MAX_PERIODS = 16  # Periods of a texture that repeats; with more, all of it is used.
 
 
 @dataclass(frozen=True, eq=False)
 class TextureSource:
     """A texture to code, and what uses it.
 
-    role: one of ROLES. image: (H, W, 3) uint8 as stored (sRGB-encoded colors, or data such as normals), row 0 at the bottom. mesh: the
-    finest level. materials: those of its materials, by number, that use the texture. name: for messages.
+    Attributes:
+        role: one of ROLES.
+        image: (H, W, 3) uint8 as stored (sRGB-encoded colors, or data such as normals), row 0 at the bottom.
+        mesh: the finest level.
+        materials: those of its materials, by number, that use the texture.
+        name: for messages.
     """
 
     role: str
@@ -93,7 +97,7 @@ def find_used_texels(source: TextureSource, grid: TileGrid) -> np.ndarray:
             for _, pixels, _ in rasterize(corners - size * [x, y], (grid.width, grid.height)):
                 flat[pixels] = True
     inside = flat.reshape(grid.height, grid.width)
-    ends = np.floor(corners.reshape(-1, 2)).astype(np.int64) % size  # of triangles between the centers of texels
+    ends = np.floor(corners.reshape(-1, 2)).astype(np.int64) % size  # The texels of triangles between the centers of texels.
     inside[ends[:, 1], ends[:, 0]] = True
     used[: grid.height, : grid.width] = maximum_filter(inside, 2 * MARGIN + 1, mode="constant")
     return used

@@ -3,7 +3,8 @@
 A state shows every part of a texture by one tile of its pyramid in one variant. For a price per byte, the best state is found from the
 finest level up: a tile is better than its four children if its error and the price of its bytes are less than theirs. As the price falls,
 a tile is in a few states one after the other, and is then replaced by finer ones. Such states lie on the convex hull of errors over bytes.
-Where neighbors on the hull differ much in size, others are added between them (`state_gaps`).
+Where neighbors on the hull differ much in size, one tile is replaced by a much larger variant, or by its finer tiles. Other replacements of
+it gain less per byte, but have fewer bytes, and are the best for clients that have no time for more; such states are added in between.
 
 In the file, a tile stands where the first state that has it adds it; of the tiles that a state adds, those that later states keep longest
 come first. So the tiles that a state needs beyond an earlier one are few contiguous ranges of the file, and a client can leave out those
@@ -11,21 +12,22 @@ that would be replaced before the state that it has the time for.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from ..manifest import MAX_STATES
-from .best_state import Choice, choose_state, measure_size
+from .best_state import Choice, choose_state, decide, list_choices, measure_error, measure_size
 from .coding import COMPLETE, CodedTexture
-from .state_gaps import fill_gap
 
 BYTE_FACTOR = 1.2  # between neighboring states, at most where there are so many; tiles are in several of them
-PRICES = np.geomspace(1.0, 1e-12, 241)  # of a byte, in error
+PRICES = np.geomspace(1.0, 1e-12, 241)  # Prices of a byte, in error.
 MIN_PRICE_FACTOR = 1.0001  # between prices whose states differ much, so that others are looked for between
 FACTOR_STEP = 1.05  # by which states grow faster if there are too many
+MAX_ERROR_FACTOR = 0.95  # between a state and the one before it
+HIGHER_PRICES = np.geomspace(1.0, 300.0, 12)  # relative to the price at which both neighbors are equally good: for cheap finer tiles
 
 
 class OrderedTiles(NamedTuple):
@@ -94,3 +96,41 @@ def order_tiles(states: Sequence[Sequence[Choice]]) -> OrderedTiles:
     spans.sort(key=lambda span: (span[0], -span[1], span[2]))
     firsts, lasts = (np.array([span[column] for span in spans], np.int64) for column in (0, 1))
     return OrderedTiles([span[2] for span in spans], firsts, lasts)
+
+
+def fill_gap(textures: Sequence[CodedTexture], first: Sequence[Choice], last: Sequence[Choice], factor: float) -> list[list[Choice]]:
+    """Return states between `first` and `last` by falling errors, whose bytes grow by `factor` or more.
+
+    Each replaces one tile of `first` that `last` does not have.
+    """
+    (size, error), (last_size, last_error) = [(measure_size(textures, state), measure_error(textures, state)) for state in (first, last)]
+    if last_size <= factor**2 * size or error <= last_error:
+        return []
+    price = (error - last_error) / (last_size - size)
+    candidates = []
+    for tile in sorted(set(first) - set(last)):
+        others = [choice for choice in first if choice != tile]
+        rest = size - measure_size(textures, [tile]), error - measure_error(textures, [tile])
+        for tiles in _list_replacements(textures[tile.texture], tile, price):
+            candidates.append((rest[0] + measure_size(textures, tiles), rest[1] + measure_error(textures, tiles), others + tiles))
+    states = []
+    for new_size, new_error, state in sorted(candidates):
+        if factor * size <= new_size <= last_size / factor and last_error < new_error < MAX_ERROR_FACTOR * error:
+            states.append(state)
+            size, error = new_size, new_error
+    return states
+
+
+def _list_replacements(texture: CodedTexture, tile: Choice, price: float) -> Iterator[list[Choice]]:
+    """Yield what can be shown instead of a tile: its other variants, and finer tiles."""
+    is_coded = np.isfinite(texture.errors[(tile.level, slice(None), *texture.pyramid.covered(tile.level, tile.row, tile.column))])
+    for variant in np.flatnonzero(is_coded.all(axis=(1, 2))).tolist():
+        yield [tile._replace(variant=variant)]
+    if tile.level == 0:
+        return
+    is_reached = np.zeros(texture.pyramid.shapes[tile.level], bool)
+    is_reached[tile.row, tile.column] = True
+    for factor in HIGHER_PRICES:
+        decisions = decide(texture, price * float(factor))
+        decisions.splits[tile.level][tile.row, tile.column] = True
+        yield list(list_choices(texture, tile.texture, decisions, tile.level, is_reached))

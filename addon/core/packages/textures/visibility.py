@@ -14,8 +14,8 @@ from ...texmesh.textured_mesh import TexturedMesh
 from .texture_tiles import TextureSource, TileGrid
 
 BLOCK = 8  # texels of a side of a block
-MIN_SAMPLES = 512  # of a side of an image: smaller ones would miss texels
-FOOTPRINT_STEP = 0.5  # of the binary logarithm of texels per pixel
+MIN_SAMPLES = 512  # Samples along a side of an image; fewer would miss texels.
+FOOTPRINT_STEP = 0.5  # Step of the binary logarithm of texels per pixel.
 MIN_LOG_FOOTPRINT, MAX_LOG_FOOTPRINT = -2.0, 6.0
 FOOTPRINT_LEVELS = int((MAX_LOG_FOOTPRINT - MIN_LOG_FOOTPRINT) / FOOTPRINT_STEP) + 1
 

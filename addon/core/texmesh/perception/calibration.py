@@ -13,13 +13,13 @@ import numpy as np
 
 from ...errors import SettingsError
 
-START_JITTER = 0.2  # of the start distance, so that judges do not learn it
+START_JITTER = 0.2  # Relative variation of the start distance, so that judges do not learn it.
 MAX_DISTANCE = 1e30
 MIN_ANSWERS = 8
 RIDGE = 1e-2  # weight of the prior on the steepness, in units of the spread of the stimuli: answers that separate perfectly stay finite
-MAX_STEPS, STEP_TOLERANCE = 100, 1e-10  # of Newton's method
-NORMAL_QUANTILE = 1.959964  # of a 95 % confidence interval
-BINS = 6  # of stimuli, for the correlation
+MAX_STEPS, STEP_TOLERANCE = 100, 1e-10  # Limits of Newton's method.
+NORMAL_QUANTILE = 1.959964  # Quantile of the normal distribution for a 95 % confidence interval.
+BINS = 6  # Bins of stimuli, for the correlation.
 
 
 @dataclass(frozen=True)
@@ -46,11 +46,16 @@ class Answer:
 
 @dataclass(frozen=True)
 class Threshold:
-    """A psychometric function: the probability that a difference of `stimulus` is noticed is 1 / (1 + exp(-steepness (stimulus - value))).
+    """A psychometric function.
 
-    value: the threshold, noticed in half of all trials. low, high: its 95 % confidence interval. steepness: per unit of the stimulus.
-    correlation: between the function and the fractions of answers that noticed a difference, NaN if either is constant. answers: their
-    number.
+    The probability that a difference of `stimulus` is noticed is 1 / (1 + exp(-steepness (stimulus - value))).
+
+    Attributes:
+        value: the threshold, noticed in half of all trials.
+        low, high: its 95 % confidence interval.
+        steepness: per unit of the stimulus.
+        correlation: between the function and the fractions of answers that noticed a difference, NaN if either is constant.
+        answers: their number.
     """
 
     value: float
@@ -133,7 +138,7 @@ def estimate_threshold(answers: Sequence[Answer], stimuli: np.ndarray) -> Thresh
     if steepness <= 0.0:
         raise SettingsError("Small differences were noticed more often than large ones; repeat the experiment.")
     position = -offset / steepness
-    gradient = np.array([-1.0 / steepness, offset / steepness**2])  # of the position; delta method
+    gradient = np.array([-1.0 / steepness, offset / steepness**2])  # Gradient of the position, for the delta method.
     half = NORMAL_QUANTILE * math.sqrt(float(gradient @ covariance @ gradient))
     value = center + spread * position
     fitted = 1.0 / (1.0 + np.exp(-(offset + steepness * (intensities - center) / spread)))

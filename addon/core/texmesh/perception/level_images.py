@@ -15,9 +15,9 @@ from .views import BACKGROUND, Frame, PlacedSamples, Render, ViewedSurface, plac
 # at all sizes, so that larger images are compared only where smaller ones differ most.
 TIERS = ((128, 256, 1), (256, 512, 3), (512, 1024, 3), (1024, 2048, 4), (2048, 3072, 4))
 MIN_SAMPLES = 2  # per pixel along each side, where a render has them
-MIN_THREADED_SIZE = 64  # of images that are made in several threads; smaller ones are not worth it
+MIN_THREADED_SIZE = 64  # Images of this size or larger are made in several threads; smaller ones are not worth it.
 VIEWS_AT_ONCE = 2
-PERCENTILE = 95.0  # of the local difference
+PERCENTILE = 95.0  # Percentile that is the local difference.
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,17 @@ class Difference:
 
 @dataclass(eq=False)
 class LevelImages:
-    """The images of one level. directions: (N, 3), towards the viewer of each view. placed: where the samples of renders are, by view and
-    samples per side, None not to keep it for other textures."""
+    """The images of one level.
+
+    Attributes:
+        surface: the level.
+        frame: the square that all images of the object show.
+        directions: (N, 3), towards the viewer of each view.
+        pixels_per_degree: of the display.
+        placed: where the samples of renders are, by view and samples per side, None not to keep it for other textures.
+        renders: by view and samples per side.
+        images: as FLIP compares them, and their coverage, by view and pixels per side.
+    """
 
     surface: ViewedSurface
     frame: Frame

@@ -20,21 +20,23 @@ from .views import ViewedSurface, frame_around
 MIN_IMAGE = 1  # pixels per side of the smallest image that is compared
 COVERED_IMAGE = (1920, 1080)  # pixels of the image whose covered fraction determines the level in glTF
 SIZES = (32, 64, 128, 256, 512, 1024, 2048)  # pixels per side, of a first search
-RELATIVE_PRECISION = 0.03  # of sizes
-CLOSE_RATIO = 0.97  # of the visible difference, from which on a size is not enlarged any more
+RELATIVE_PRECISION = 0.03  # Relative precision of sizes.
+CLOSE_RATIO = 0.97  # A size is not enlarged any more from this fraction of the visible difference on.
 AIMED_RATIO = 0.985  # at the next size that is tried
-MIN_PART, MAX_PART = 0.15, 0.85  # of the interval between two sizes, within which the next one is
-MIN_SWITCH_RATIO = 1.25  # of the sizes at two switches in a row; a level between closer ones would hardly be shown
+MIN_PART, MAX_PART = 0.15, 0.85  # The next size is within this part of the interval between two sizes.
+MIN_SWITCH_RATIO = 1.25  # Ratio of the sizes at two switches in a row; a level between closer ones would hardly be shown.
 
 
 @dataclass(frozen=True)
 class Switch:
     """From where on a coarse level may replace its finer neighbor.
 
-    pixel_size: the smallest size of a pixel in the object's unit at which they look the same, `farfield_error` of the coarse level.
-    pixels: side of the object's image there. difference, local_difference: mean and 95th percentile of FLIP over the object's pixels, of
-    the views where they are largest. limit: "nearest" if they look the same even in the largest image that was compared, "farthest" if they
-    differ even in the smallest, "" otherwise.
+    Attributes:
+        pixel_size: the smallest size of a pixel in the object's unit at which they look the same, `farfield_error` of the coarse level.
+        pixels: side of the object's image there.
+        difference, local_difference: mean and 95th percentile of FLIP over the object's pixels, of the views where they are largest.
+        limit: "nearest" if they look the same even in the largest image that was compared, "farthest" if they differ even in the smallest,
+            "" otherwise.
     """
 
     pixel_size: float

@@ -9,18 +9,23 @@ from ...errors import SettingsError
 from ...geometry.cameras import Camera
 
 TILT = math.radians(15.0)  # towards the viewer, so that the top is seen
-DEPTH = 10.0  # of the objects, in distances of the near clipping plane
-MIN_DISTANCE = 2.0  # of the viewer from the center, in radii
-SIDE = 0.125  # of the width: how far the objects are from the middle, so that a sidebar hides neither
-MAX_FILLED = 0.9  # of twice that distance, or of the height, by an object
+DEPTH = 10.0  # Depth of the objects, in distances of the near clipping plane.
+MIN_DISTANCE = 2.0  # Distance of the viewer from the center, in radii.
+SIDE = 0.125  # Distance of the objects from the middle, relative to the width, so that a sidebar hides neither.
+MAX_FILLED = 0.9  # An object fills at most this fraction of twice that distance, or of the height.
 
 
 @dataclass(frozen=True)
 class TrialView:
     """A perspective viewer and two objects with the same center and radius.
 
-    camera: the viewer. aspect: width divided by height of the image. near: distance of the near clipping plane. center: (3,), object space.
-    radius: of a sphere around the center that contains both, object units. pixels_per_degree: of the display that distances are meant for.
+    Attributes:
+        camera: the viewer.
+        aspect: width divided by height of the image.
+        near: distance of the near clipping plane.
+        center: (3,), object space.
+        radius: of a sphere around the center that contains both, object units.
+        pixels_per_degree: of the display that distances are meant for.
     """
 
     camera: Camera
@@ -32,7 +37,7 @@ class TrialView:
 
     @property
     def nearest(self) -> float:
-        """The smallest distance, in object units for the display, at which the objects fit beside each other into the image."""
+        """The smallest distance, in object units for the display, at which the objects fit next to each other into the image."""
         half_width = self.camera.pixels * min(SIDE, 0.5 / self.aspect) * MAX_FILLED
         fitting = self.radius / half_width / self._pixel_growth
         close = MIN_DISTANCE * self.radius * self.camera.pixel_size(1.0) / self._pixel_growth

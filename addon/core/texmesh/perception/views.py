@@ -18,7 +18,7 @@ PLAIN_COLOR = 0.6  # linear, of materials without a texture
 AMBIENT = 0.25  # fraction of the color that shows without the headlight
 BACKGROUND = 0.214  # linear; middle gray as displayed
 MIN_SMOOTH_COSINE = np.cos(np.radians(40.0))  # between a face and the normal of a vertex; a sharper vertex is shaded flat
-MIN_LENGTH = np.float32(1e-6)  # of an interpolated normal: opposite ones cancel
+MIN_LENGTH = np.float32(1e-6)  # Length of an interpolated normal; opposite ones cancel.
 FRAME_MARGIN = 1.04  # side of an image relative to the diameter of the object
 
 
@@ -26,8 +26,13 @@ FRAME_MARGIN = 1.04  # side of an image relative to the diameter of the object
 class ViewedSurface:
     """What renders need of a mesh, prepared once for all views.
 
-    vertices: (V, 3) float64. triangles: (T, 3) int32. corner_uvs: (T, 3, 2) float64. corner_normals: (T, 3, 3) float32, None for renders
-    without light. materials: (T,) int32 into textures, each mipmaps with three channels or None.
+    Attributes:
+        vertices: (V, 3) float64.
+        triangles: (T, 3) int32.
+        corner_uvs: (T, 3, 2) float64.
+        corner_normals: (T, 3, 3) float32, None for renders without light.
+        materials: (T,) int32 into textures.
+        textures: mipmaps with three channels, or None.
     """
 
     vertices: np.ndarray

@@ -10,7 +10,7 @@ from ...geometry.mesh import face_areas_and_normals, vertex_normals
 from ..settings import TexmeshSettings
 
 MAX_CANDIDATES = 8  # displacements of a scale whose thickness is measured: casting a line costs a pass over all triangles
-MIN_LENGTH = 1e-6  # of the diagonal: a shorter cross-section is that of a line which only touches the surface
+MIN_LENGTH = 1e-6  # Relative to the diagonal; a shorter cross-section is that of a line which only touches the surface.
 BORDER = 1e-9  # barycentric coordinate of a line that meets an edge
 
 
@@ -31,10 +31,16 @@ class Collapses:
 
 @dataclass(frozen=True, eq=False)
 class Impacts:
-    """How noticeable each refinement is. Row i - 1 is the refinement from scale i to i - 1.
+    """How noticeable each refinement is.
 
-    values: (S,) largest displacement. lengths: (S,) what it is relative to. fractions: (S,) their quotient, 0 where nothing is added.
-    vertices: (S,) removed vertex with that displacement, -1 where nothing is added. is_noticed: (S,) bool, above the threshold.
+    Row i - 1 is the refinement from scale i to i - 1.
+
+    Attributes:
+        values: (S,) largest displacement.
+        lengths: (S,) what it is relative to.
+        fractions: (S,) their quotient, 0 where nothing is added.
+        vertices: (S,) removed vertex with that displacement, -1 where nothing is added.
+        is_noticed: (S,) bool, above the threshold.
     """
 
     values: np.ndarray

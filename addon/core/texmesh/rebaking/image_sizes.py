@@ -9,9 +9,9 @@ from ...geometry.transforms import signed_areas
 from ..textured_mesh import TexturedMesh
 
 TEXELS_PER_PIXEL = 1.5  # along a side, at least, where texels are largest: with one, thin lines are blurred visibly
-MIN_SIDE = 128  # of the longer side of an image; in smaller ones, which save little, UV islands run together
-SHARP_FRACTION = 0.9  # of the area, the part with so many texels
-MAX_SUPERSAMPLES = 1 << 20  # of an image that is sampled more than twice as finely along each side
+MIN_SIDE = 128  # Pixels of the longer side of an image; in smaller ones, which save little, UV islands run together.
+SHARP_FRACTION = 0.9  # This fraction of the area has so many texels.
+MAX_SUPERSAMPLES = 1 << 20  # Largest number of samples of an image that is sampled more than twice as finely along each side.
 
 
 def halve_size(size: tuple[int, int], halvings: int) -> tuple[int, int]:
@@ -31,7 +31,7 @@ def choose_halvings(level: TexturedMesh, triangles: np.ndarray, pixel_size: floa
     most = max(math.floor(math.log2(max(size) / MIN_SIDE)), 0)
     if not len(used):
         return most
-    lengths = np.sqrt(areas[used] / (uv_areas[used] * size[0] * size[1]))  # of a texel on the surface
+    lengths = np.sqrt(areas[used] / (uv_areas[used] * size[0] * size[1]))  # Lengths of a texel on the surface.
     order = np.argsort(lengths)
     cumulative = np.cumsum(areas[used][order])
     longest = float(lengths[order][np.searchsorted(cumulative, SHARP_FRACTION * cumulative[-1])])

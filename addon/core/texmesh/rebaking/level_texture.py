@@ -19,9 +19,10 @@ from .image_sizes import choose_supersampling, halve_size
 from .surface_descent import SurfaceDescent
 from .uv_layout import wrap_triangles
 
-MIN_SAMPLES, MAX_SAMPLES, SAMPLES_PER_TRIANGLE = 16_000, 300_000, 4  # of the original, by which triangles are assigned to UV islands
-TRIANGLE_FRACTION = 0.5  # of them, those that are divided evenly among triangles
-BLANK_WEIGHT = 1e-3  # of texels that no triangle of the original covers
+# Samples of the original, by which triangles are assigned to UV islands.
+MIN_SAMPLES, MAX_SAMPLES, SAMPLES_PER_TRIANGLE = 16_000, 300_000, 4
+TRIANGLE_FRACTION = 0.5  # This fraction of them is divided evenly among triangles.
+BLANK_WEIGHT = 1e-3  # Weight of texels that no triangle of the original covers.
 CHUNK_SAMPLES = 1 << 18  # texels that are looked for at once
 
 
@@ -55,7 +56,7 @@ class OriginalSurface:
 
 def build_weighted_mipmaps(texture: np.ndarray, corner_uvs: np.ndarray) -> Mipmaps:
     """Return mipmaps of a texture (H, W, C) whose values are multiplied by weights, which follow as the last channel: 1 at texels that
-    triangles (T, 3, 2) cover, BLANK_WEIGHT elsewhere. So colors beside UV islands do not bleed into coarse levels."""
+    triangles (T, 3, 2) cover, BLANK_WEIGHT elsewhere. So colors outside of UV islands do not bleed into coarse levels."""
     height, width = texture.shape[:2]
     weights = np.full(width * height, BLANK_WEIGHT, np.float32)
     for _, texels, _ in rasterize(wrap_triangles(corner_uvs)[0] * (width, height), (width, height)):

@@ -12,7 +12,7 @@ from ...geometry.edges import find_edges
 from ...geometry.mesh import face_areas_and_normals, longest_side
 
 ON_EDGE = 1e-9  # barycentric coordinate below which a point is on an edge
-RELATIVE_PRECISION = 1e-9  # of distances, relative to the longest side of the surface
+RELATIVE_PRECISION = 1e-9  # Precision of distances, relative to the longest side of the surface.
 MAX_STEPS = 400  # triangles that are passed
 
 
@@ -25,7 +25,7 @@ class SurfaceDescent:
         self._normals = face_areas_and_normals(self._corners)[1]
         self._precision = (RELATIVE_PRECISION * longest_side(vertices)) ** 2
         edges = find_edges(triangles, len(vertices))
-        self._neighbors = np.full(triangles.size, -1, np.int64)  # of halfedges
+        self._neighbors = np.full(triangles.size, -1, np.int64)  # The neighbors of halfedges.
         first, second = edges.interior_halfedges.T
         self._neighbors[first], self._neighbors[second] = second // 3, first // 3
         owners = np.repeat(np.arange(len(triangles)), 3)

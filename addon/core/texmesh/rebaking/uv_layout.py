@@ -7,7 +7,7 @@ from ...geometry.transforms import signed_areas
 from ...imaging.raster import rasterize
 
 MAX_TILES = 4  # repetitions of a texture along a side of a triangle; only narrow ones have as many without overlaps
-MAX_OVERLAP = 0.01  # of the covered texels, those that several triangles cover: seams of islands that touch
+MAX_OVERLAP = 0.01  # Fraction of the covered texels that several triangles may cover: seams of islands that touch.
 MAX_CHECKED = 1024  # texels per side of the image in which overlaps are looked for
 INNER = 1e-3  # smallest barycentric coordinate of a texel that is not on an edge
 

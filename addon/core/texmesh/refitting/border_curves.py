@@ -1,4 +1,7 @@
-"""The borders of the UV islands of a mesh, along which the seam vertices of a level slide."""
+"""The borders of the UV islands of a mesh, along which the seam vertices of a level slide.
+
+Moves of texture coordinates flip no triangle and keep both sides of seams together.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,11 +14,11 @@ from ...geometry.transforms import signed_areas
 from ..textured_mesh import TexturedMesh
 from .level_state import LevelState
 
-MAX_TURN = np.radians(50.0)  # of a border at a vertex that slides along it; a corner would be cut off
-MIN_AREA_FRACTION = 0.15  # of its area in UV space that a triangle keeps in one move
+MAX_TURN = np.radians(50.0)  # A vertex slides along a border that turns less; a corner would be cut off.
+MIN_AREA_FRACTION = 0.15  # A triangle keeps this fraction of its area in UV space in one move.
 MAX_PARTNER_STEP = 4.0  # times the expected step: a farther point on the other side of a seam belongs to another part of it
 MAX_HALVINGS = 12
-MIN_FRACTION = 0.01  # of a step; a shorter one is not made
+MIN_FRACTION = 0.01  # A step is not made if less than this fraction of it is possible.
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,7 @@
-"""The point of a level that has the texture coordinates of a point of the fine mesh."""
+"""Points on the fine mesh, uniform by area, and the points of a level that have their texture coordinates.
+
+Triangles in UV space are searched for those that contain texture coordinates or are nearest to them.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,8 +23,8 @@ LABEL_POINTS = LABEL_POINTS / LABEL_POINTS.sum(axis=1, keepdims=True)
 CHUNK_POINTS = 1 << 14
 CELLS_PER_TRIANGLE = 2.0
 MAX_CELLS = 1 << 22
-INSIDE_TOLERANCE = 1e-9  # of barycentric coordinates
-LAYER_SPACING = 16.0  # of UV islands in the third coordinate, relative to the largest texture coordinate
+INSIDE_TOLERANCE = 1e-9  # Tolerance of barycentric coordinates.
+LAYER_SPACING = 16.0  # Distance of UV islands in the third coordinate, relative to the largest texture coordinate.
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +86,14 @@ class UvTriangles:
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """A grid of `size` (2,) cells, columns and rows, over triangles in UV space, from `low` (2,) with `extent` (2,). The `owners` (K,) of
-    cell i, row by row, are those from starts[i] to starts[i + 1]: the triangles whose bounding boxes overlap it."""
+    """A grid over triangles in UV space.
+
+    Attributes:
+        low, extent: (2,) lowest corner and size of the grid.
+        size: (2,) columns and rows of cells.
+        starts: (cells + 1,), row by row: the owners of cell i are those from starts[i] to starts[i + 1].
+        owners: (K,) triangles whose bounding boxes overlap the cell.
+    """
 
     low: np.ndarray
     extent: np.ndarray
@@ -155,8 +164,10 @@ class SurfaceSamples:
     """Points on the surface of a textured mesh.
 
     Attributes:
-        triangles: (N,) int64 of the mesh. barycentric: (N, 3) float64.
-        positions: (N, 3) float64, in the space of the mesh. uvs: (N, 2) float64.
+        triangles: (N,) int64 of the mesh.
+        barycentric: (N, 3) float64.
+        positions: (N, 3) float64, in the space of the mesh.
+        uvs: (N, 2) float64.
         islands: (N,) int32, the UV islands of `find_islands`.
         weights: (N,) float64, the areas that the samples stand for.
     """

@@ -5,6 +5,9 @@ texture coordinates u deviates from it by x - S_t(u), between equal texture coor
 squared deviation over the triangles that it stands for: a quadric of (x, u), summed like those of Garland and Heckbert, "Surface
 Simplification Using Quadric Error Metrics", 1997. In contrast to the distance from planes in 5-D it does not get smaller where a vertex
 slides along the surface and its texture coordinates do not.
+
+Quadrics of the lines through short edges hardly resist when a long edge swings around one of its ends, and a corner of a window or the rim
+of a wheel arch is cut off. So each removed vertex of a border is compared with the edge that takes its place.
 """
 
 import numpy as np
@@ -20,9 +23,9 @@ from .border_curves import find_border_halfedges
 from .correspondence import compute_uv_scale
 
 ROWS, COLUMNS = np.triu_indices(6)
-CURVE_WEIGHT = 1.0  # of squared distances from an edge of a border in UV space, times its squared length
-DEVIATION_WEIGHT = 0.5  # of squared deviations of edges on borders in space, times their squared length
-LENGTH_WEIGHT = 1e-6  # of the squared length of a collapse, which decides where the map is affine
+CURVE_WEIGHT = 1.0  # Weight of squared distances from an edge of a border in UV space, times its squared length.
+DEVIATION_WEIGHT = 0.5  # Weight of squared deviations of edges on borders in space, times their squared length.
+LENGTH_WEIGHT = 1e-6  # Weight of the squared length of a collapse, which decides where the map is affine.
 
 
 class DeviationQuadrics:
@@ -70,7 +73,7 @@ class DeviationQuadrics:
         return np.maximum(evaluate_quadrics(self._quadrics, self._monomials, removed, kept) + self._own_costs.take(kept), 0.0)
 
     def _add_borders(self, mesh: TexturedMesh) -> None:
-        """Add the squared distances from the edges of islands in UV space, which cover what is between the edge and a vertex beside it."""
+        """Add the squared distances from the edges of islands in UV space, which cover what is between the edge and a vertex next to it."""
         halfedges, _ = find_border_halfedges(mesh)
         faces, corners = halfedges // 3, halfedges % 3
         start, end = (mesh.wedge_triangles[faces, (corners + step) % 3] for step in (1, 2))
@@ -111,7 +114,7 @@ def _deviation_rows(corners: np.ndarray, normals: np.ndarray, normal_weight: flo
 
 
 class BorderDeviations:
-    """For each wedge on a border its neighbors there, and the largest distance of removed vertices from the edges beside it.
+    """For each wedge on a border its neighbors there, and the largest distance of removed vertices from the edges at it.
 
     Wedges are those of the fine mesh. Wedges where borders cross or end have no neighbors.
     """

@@ -14,7 +14,7 @@ from .level_state import LevelState
 NEW_TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])  # corners of a quad after the flip
 MIN_UV_FRACTION = 0.02  # area of a new triangle in UV space relative to its quadrilateral
 MIN_NORMAL_COSINE = 0.2  # between a new triangle and the mean of the old ones
-MIN_GAIN = 1e-3  # of the cost of the two triangles
+MIN_GAIN = 1e-3  # A flip lowers the cost of the two triangles by at least this fraction.
 
 
 def flip_edges(state: LevelState, max_rounds: int) -> LevelState:
@@ -38,8 +38,11 @@ def flip_edges(state: LevelState, max_rounds: int) -> LevelState:
 class Quads:
     """Pairs of triangles whose common edge may be flipped.
 
-    triangles: (K, 2). corners: (K, 4) of the level, counterclockwise; the edge joins 1 and 3, the flipped one 0 and 2. vertices, wedges:
-    (K, 4), of these corners. normals: (K, 3), means of both triangles.
+    Attributes:
+        triangles: (K, 2).
+        corners: (K, 4) of the level, counterclockwise; the edge joins 1 and 3, the flipped one 0 and 2.
+        vertices, wedges: (K, 4), of these corners.
+        normals: (K, 3), means of both triangles.
     """
 
     triangles: np.ndarray

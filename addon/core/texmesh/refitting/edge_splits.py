@@ -12,10 +12,10 @@ from .edge_flips import select_largest
 from .level_state import LevelState, attach
 from .outliers import FineSurface, LevelDistances
 
-SHORT_EDGE_FACTOR = 0.25  # of the deviation that counts for edges that are not the longest of their triangle
+SHORT_EDGE_FACTOR = 0.25  # Factor of the deviation for edges that are not the longest of their triangle.
 MIN_UV_FRACTION = 0.1  # area of a new triangle in UV space relative to the one that is divided
 MIN_CANDIDATES, CANDIDATES_PER_TRIANGLE = 32, 4  # edges that are examined, and more of them per added triangle
-MAX_CURVE_DISTANCE = 0.5  # of the length of an edge on a border: distance of its middle from the border of the fine mesh
+MAX_CURVE_DISTANCE = 0.5  # An edge on a border is not split farther from the border of the fine mesh than this fraction of its length.
 
 
 @dataclass(frozen=True)
@@ -37,12 +37,12 @@ class SplitEdges:
 
     @property
     def triangles(self) -> np.ndarray:
-        """(K, 2) triangles beside the edges, the same one twice on a boundary."""
+        """(K, 2) triangles at the edges, the same one twice on a boundary."""
         return np.stack([self.first // 3, np.where(self.second >= 0, self.second, self.first) // 3], axis=1)
 
 
 def split_edges(state: LevelState, count: int) -> LevelState:
-    """Return the level with up to `count` edges split at their middle: those beside triangles with the largest deviation along the normal.
+    """Return the level with up to `count` edges split at their middle: those of triangles with the largest deviation along the normal.
 
     Each adds two triangles. Seams and boundaries are not split. No two of the edges have a triangle in common.
     """
@@ -60,7 +60,7 @@ def split_edges(state: LevelState, count: int) -> LevelState:
 def split_far_edges(state: LevelState, measured: LevelDistances, count: int, surface: FineSurface, curves: BorderCurves) -> LevelState:
     """Return the level with its farthest edges split, seams and boundaries too, so that there are up to `count` more triangles.
 
-    New vertices are at the sample of the fine mesh that is farthest from the level, if that is beside the edge. Else they are on the fine
+    New vertices are at the sample of the fine mesh that is farthest from the level, if that is at the edge. Else they are on the fine
     surface, at the middle of the edge in UV space or on the border next to it. No two of the edges have a triangle in common.
 
     Args:
@@ -93,7 +93,7 @@ def split_far_edges(state: LevelState, measured: LevelDistances, count: int, sur
 
 
 def _find_missed_edges(state: LevelState, measured: LevelDistances, found: SplitEdges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the rows (R,) of edges `found` beside which the level misses samples, the farthest sample (R,) of each, and its distance."""
+    """Return the rows (R,) of edges `found` at which the level misses samples, the farthest sample (R,) of each, and its distance."""
     place = np.full(len(measured.edges.ends), -1)
     place[found.edges[~found.is_border]] = np.flatnonzero(~found.is_border)
     samples, distances = measured.missed, measured.distances[len(measured.distances) - len(measured.missed) :]
@@ -122,13 +122,13 @@ def find_split_edges(state: LevelState, edges: Edges) -> SplitEdges:
 
 
 def rate_edges(state: LevelState, edges: Edges, found: SplitEdges, peaks: np.ndarray) -> np.ndarray:
-    """Return for each of the edges `found` (K,) the larger of the `peaks` (T,) beside it, less where it is not the longest edge."""
+    """Return for each of the edges `found` (K,) the larger of the `peaks` (T,) at it, less where it is not the longest edge."""
     lengths = np.linalg.norm(np.diff(state.mesh.vertices[edges.ends], axis=1)[:, 0], axis=1)
     longest = lengths[edges.face_edges].max(axis=1)
     areas, _ = state.areas_and_normals
-    beside = found.triangles
-    factors = np.where(lengths[found.edges][:, None] >= longest[beside], 1.0, SHORT_EDGE_FACTOR)
-    return (factors * peaks[beside]).max(axis=1) * (areas[beside] > 0.0).all(axis=1)
+    sides = found.triangles
+    factors = np.where(lengths[found.edges][:, None] >= longest[sides], 1.0, SHORT_EDGE_FACTOR)
+    return (factors * peaks[sides]).max(axis=1) * (areas[sides] > 0.0).all(axis=1)
 
 
 def find_peaks(state: LevelState) -> np.ndarray:
@@ -190,8 +190,8 @@ def _end_points(state: LevelState, halfedges: np.ndarray, step: int) -> np.ndarr
 
 
 def _split(state: LevelState, found: SplitEdges, points: np.ndarray, uvs: np.ndarray, others: np.ndarray) -> LevelState:
-    """Return the level with the edges `found` (K,) split at `points` (K, 3), whose texture coordinates are `uvs` (K, 2) beside the first
-    halfedge and `others` (K, 2) beside the second one of a seam."""
+    """Return the level with the edges `found` (K,) split at `points` (K, 3), whose texture coordinates are `uvs` (K, 2) at the first
+    halfedge and `others` (K, 2) at the second one of a seam."""
     mesh, count = state.mesh, len(found.first)
     if not count:
         return state

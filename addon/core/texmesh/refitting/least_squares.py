@@ -3,6 +3,7 @@
 A sample u of triangle t with barycentric coordinates b has the residual P(u) - S(u) = sum of b_k p_k - S(u). A move of the texture
 coordinates w_k changes it by -b_k J_t w_k, where J_t is the derivative of P by texture coordinates. All that the samples contribute are
 the moments of each triangle, M_t = sum of b b^T and R_t = sum of b S^T, so that a step costs no more than the level has triangles.
+Factors L D L^T of many small symmetric matrices at once precondition the conjugate gradients.
 """
 
 from dataclasses import dataclass
@@ -15,10 +16,10 @@ from ...jobs.chunks import slices
 from .level_state import LevelState, sum_by
 
 MAX_ITERATIONS = 30
-TOLERANCE = 3e-2  # of the preconditioned gradient; with 1e-3 levels deviate as much
+TOLERANCE = 3e-2  # Relative size of the preconditioned gradient; with 1e-3 levels deviate as much.
 CHUNK_TRIANGLES = 1 << 13
-DAMPING = 0.03  # of the weight that a vertex has if samples are dense: keeps vertices with few samples in place
-MIN_PIVOT = 1e-10  # of a diagonal element: a smaller pivot means that rows depend on others
+DAMPING = 0.03  # Relative to the weight of a vertex with dense samples; keeps vertices with few samples in place.
+MIN_PIVOT = 1e-10  # A pivot below this fraction of a diagonal element means that rows depend on others.
 
 
 @dataclass(frozen=True)
@@ -169,7 +170,7 @@ class Linearization:
         normals = self._normals
         size, shape = self._size, (len(self.state.mesh.uvs), len(normals[0]))
         metric = [normals * ((self.state.normal_weight - 1.0) * normals[axis]) for axis in range(3)]
-        columns = [metric[axis] + np.eye(3)[axis][:, None] for axis in range(3)]  # of the weights of residuals
+        columns = [metric[axis] + np.eye(3)[axis][:, None] for axis in range(3)]  # The columns of the weights of residuals.
         if self.directions is not None:
             columns += [-sum(jacobian[axis] * columns[axis] for axis in range(3)) for jacobian in self._jacobians]
         rows, places = np.tril_indices(size)

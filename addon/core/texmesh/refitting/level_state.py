@@ -14,11 +14,16 @@ from .correspondence import Correspondence, SurfaceSamples, find_correspondence
 
 @dataclass(frozen=True)
 class LevelState:
-    """A level, its samples and the points of the level that correspond to them. Arrays are never changed in place.
+    """A level, its samples and the points of the level that correspond to them.
 
-    mesh: the level; its `sources` follow its wedges. islands: (T,) int32 of the fine mesh. samples: of the fine mesh, N of them.
-    found: the points of the level with their texture coordinates. normal_weight: how much more a deviation along the normal of the level
-    counts than one along the surface.
+    Arrays are never changed in place.
+
+    Attributes:
+        mesh: the level; its `sources` follow its wedges.
+        islands: (T,) int32 of the fine mesh.
+        samples: of the fine mesh, N of them.
+        found: the points of the level with their texture coordinates.
+        normal_weight: how much more a deviation along the normal of the level counts than one along the surface.
     """
 
     mesh: TexturedMesh

@@ -1,4 +1,7 @@
-"""Repair of outliers of a level: flips of edges, and moves of vertices that bring the farthest places nearer to the fine mesh."""
+"""Repair of outliers of a level: flips of edges, and moves of vertices that bring the farthest places nearer to the fine mesh.
+
+Vertices stay where moves would turn triangles over.
+"""
 
 import numpy as np
 
@@ -12,13 +15,13 @@ from .outliers import EDGE_FRACTIONS, FineSurface, LevelDistances, gather_some_p
 
 ATTRACTION = 0.5  # weight of an outlier at the limit, relative to all samples of a triangle; it grows with the fourth power of the distance
 MAX_ATTRACTION = 30.0
-MAX_FLIPPED_FRACTION = 0.7  # of the distance of an edge that the flipped edge has at most
+MAX_FLIPPED_FRACTION = 0.7  # A flipped edge has at most this fraction of the distance of the edge.
 MAX_WITHDRAWALS = 6
 HALVINGS = 2  # withdrawals that leave a part of a step, before the others leave nothing
 WITHDRAWN_FRACTION = 0.5
-ACCEPTED_FRACTION = 0.8  # of the largest distance in the neighborhood, up to which a point may get farther while that is lowered
+ACCEPTED_FRACTION = 0.8  # A point may get farther, up to this fraction of the largest distance nearby, while that is lowered.
 PEAK_RINGS = 2
-MAX_ROUNDS = 6  # of vertices that stay because of those that stayed before
+MAX_ROUNDS = 6  # Rounds in which vertices stay because of those that stayed before.
 
 
 def flip_outliers(state: LevelState, surface: FineSurface, measured: LevelDistances) -> LevelState:
@@ -92,7 +95,7 @@ def _attract(state: LevelState, measured: LevelDistances) -> LevelState:
 
 
 def _withdraw(state: LevelState, vertices: np.ndarray, surface: FineSurface, measured: LevelDistances) -> np.ndarray:
-    """Return `vertices` (V, 3), but those stay where they are in `state` that would make an outlier, unless a larger one beside it
+    """Return `vertices` (V, 3), but those stay where they are in `state` that would make an outlier, unless a larger one next to it
     gets smaller."""
     ends, result = measured.edges.ends, vertices.copy()
     before = np.concatenate([measured.at_vertices, measured.at_edges.ravel()])

@@ -1,6 +1,6 @@
 """Outliers: the places of a level that are much farther from the fine mesh than most, by the true distance from both sides.
 
-Least squares between equal texture coordinates leave them where few samples lie: at edges that bridge a valley, beside small triangles, and
+Least squares between equal texture coordinates leave them where few samples lie: at edges that bridge a valley, next to small triangles, and
 beyond concave boundaries, where the fine mesh has no texture coordinates. The mean hardly shows them; renders do.
 """
 
@@ -18,12 +18,12 @@ from ..textured_mesh import TexturedMesh
 from .correspondence import Correspondence, SurfaceSamples, UvTriangles, find_in_triangles
 from .level_state import LevelState
 
-LIMIT_FACTOR = 4.5  # of the root mean squared distance: points that are farther are outliers
-MIN_LIMIT = 1e-9  # of the size of the level: below, distances are rounding
-MAX_OUTLIER_FRACTION = 0.01  # of vertices and midpoints of edges: with more of them, the limit is larger
+LIMIT_FACTOR = 4.5  # Points farther than this multiple of the root mean squared distance are outliers.
+MIN_LIMIT = 1e-9  # Relative to the size of the level; smaller distances are rounding.
+MAX_OUTLIER_FRACTION = 0.01  # If more of the vertices and midpoints of edges are outliers, the limit is larger.
 EDGE_FRACTIONS = np.array([0.25, 0.5, 0.75])  # along an edge, where its distance is measured
-NEAR_FRACTION = 0.5  # of the limit, up to which midpoints and ends of an edge tell that no point of it is an outlier
-ATTRACTED_FRACTION = 0.9  # of the limit, from which on points are attracted, so that they do not become outliers
+NEAR_FRACTION = 0.5  # If midpoint and ends of an edge are within this fraction of the limit, no point of it is an outlier.
+ATTRACTED_FRACTION = 0.9  # Points beyond this fraction of the limit are attracted, so that they do not become outliers.
 
 
 @dataclass(frozen=True)
@@ -76,11 +76,17 @@ class FineSurface:
 class LevelDistances:
     """How far a level is from the fine mesh.
 
-    vertices: (V, 3) of the level. edges: its E edges. at_vertices: (V,) distances of its vertices, at_edges: (E, 3) those of the points
-    EDGE_FRACTIONS of its edges, from the lower vertex to the other one; where they are far below the limit, upper bounds or estimates.
-    triangles, barycentric, targets: K points of the level, and the points of the fine mesh (K, 3) that they should be nearer to: the
-    nearest ones of distant points of the level, then distant samples of the fine mesh. distances: (K,) between them. missed: (M,) the
-    samples that are the last of the targets. limit: the distance above which points are outliers.
+    Attributes:
+        vertices: (V, 3) of the level.
+        edges: its E edges.
+        at_vertices: (V,) distances of its vertices.
+        at_edges: (E, 3) distances of the points EDGE_FRACTIONS of its edges, from the lower vertex to the other one. Distances far below
+            the limit are upper bounds or estimates.
+        triangles, barycentric, targets: K points of the level, and the points of the fine mesh (K, 3) that they should be nearer to: the
+            nearest ones of distant points of the level, then distant samples of the fine mesh.
+        distances: (K,) between them.
+        missed: (M,) the samples that are the last of the targets.
+        limit: the distance above which points are outliers.
     """
 
     vertices: np.ndarray

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...jobs.parallel_steps import run_in_parallel
-from ...jobs.progress import Progress, Steps, subprogress
+from ...jobs.progress import Progress, Steps
 from ..settings import TexmeshSettings
 from ..simplification.levels import SubsetLevel, extract_level, simplify_by_cost
 from ..simplification.topology import find_islands
@@ -57,21 +57,6 @@ class RefitTuning:
 
 
 TUNING = RefitTuning()
-
-
-def make_refit_levels(
-    fine: TexturedMesh, targets: list[int], settings: TexmeshSettings, iterations: int = TUNING.iterations
-) -> Steps[list[TexturedMesh]]:
-    """Make a level of `fine` for each of the `targets`, triangle counts that descend, with the smallest deviation found.
-
-    Levels start as subset levels by `DeviationQuadrics`, a little below their target, are refitted, and gain triangles where they deviate
-    most. A level has more triangles than its target only where the constraints of the simplification stop it.
-
-    Raises:
-        SettingsError: the targets do not descend or are not positive.
-    """
-    starts = yield from subprogress(make_starts(fine, targets, settings), 0.0, TUNING.simplification_fraction)
-    return (yield from subprogress(refit_starts(fine, starts, targets, iterations), TUNING.simplification_fraction, 1.0))
 
 
 def make_starts(fine: TexturedMesh, targets: list[int], settings: TexmeshSettings) -> Steps[tuple[SubsetLevel, ...]]:

@@ -1,13 +1,18 @@
 """The analysis of a textured mesh in scale space (sections II and III.A of the TexMesh paper).
 
-On the surface, curvature and the lightness of the texture, at the resolution of the triangles, are diffused, for meshes of any topology.
+On the surface, mean curvature and the lightness of the texture, at the resolution of the triangles, are diffused, for meshes of any
+topology. Curvature that is integrated over the surface does not depend on the triangulation. The cotangent Laplacian is robust against thin
+triangles by intrinsic mollification after Sharp and Crane, "A Laplacian for Nonmanifold Triangle Meshes" (2020), section 4.5: all edges are
+lengthened by the same small amount, so that no triangle is degenerate. Positions do not change.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
+from scipy import sparse
 
-from ...geometry.edges import find_edges
+from ...geometry.edges import Edges, find_edges, halfedge_ends
+from ...geometry.mesh import face_areas_and_normals
 from ...geometry.transforms import signed_areas
 from ...imaging.colors import LUMINANCE
 from ...imaging.mipmaps import build_mipmaps, sample_mipmaps
@@ -16,16 +21,16 @@ from ..settings import AnalysisSettings
 from ..textured_mesh import TexturedMesh
 from .diffusion import build_levels, choose_times, diffuse, search_last_sigma
 from .features import FeatureTracer, ScaleMap, rank_coverage, thin_features
-from .mesh_operators import assemble_laplacian, integrate_mean_curvature, integrate_over_vertices, mollify_lengths, triangle_areas
-from .paper_mode import analyze_range_image
+from .range_image import analyze_range_image
 
-MIN_MASS = 1e-12  # of the mean, of a vertex: one without triangles has this
-FIRST_RADIUS = 1.6  # of aggregates, relative to the distance between vertices
+MIN_MASS = 1e-12  # Relative to the mean; a vertex without triangles has this mass.
+FIRST_RADIUS = 1.6  # Radius of aggregates, relative to the distance between vertices.
 MAX_SIGMA = 0.25  # relative to the square root of the area
 MAX_RADIUS = 0.1  # relative to the same
 MIN_RANGES = np.array([0.05, 0.1])  # a turn in radians and a lightness; smaller signals are weak features, not stretched to strong ones
 POINTS = np.full((3, 3), 1.0 / 6.0) + 0.5 * np.eye(3)  # barycentric coordinates of samples, one near each corner
-CUBE_ROOT_LIMIT, LINE_SCALE = (6.0 / 29.0) ** 3, 9.0329  # of CIE L*, as a fraction of white
+CUBE_ROOT_LIMIT, LINE_SCALE = (6.0 / 29.0) ** 3, 9.0329  # Constants of CIE L*, as a fraction of white.
+MOLLIFICATION = 1e-5  # Two sides of a triangle together are longer than the third by this fraction of the mean edge length.
 
 
 def analyze_scale_space(mesh: TexturedMesh, textures: Sequence[np.ndarray | None], settings: AnalysisSettings) -> Steps[ScaleMap]:
@@ -147,3 +152,57 @@ def _luminance_of(texture: np.ndarray) -> np.ndarray:
     values = texture[..., :3] @ LUMINANCE if texture.shape[2] >= 3 else texture[..., 0]
     limited = np.fmin(values, np.float32(1.0))  # fmin and fmax replace what is not a number
     return np.fmax(limited, np.float32(0.0), out=limited)
+
+
+def mollify_lengths(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Return the lengths (T, 3) of the edges opposite to the corners of `triangles` (T, 3), mollified. vertices: (V, 3)."""
+    corners = vertices[triangles]
+    lengths = np.linalg.norm(np.roll(corners, -1, axis=1) - np.roll(corners, -2, axis=1), axis=2)
+    excess = lengths.sum(axis=1, keepdims=True) - 2.0 * lengths
+    return lengths + max(0.0, MOLLIFICATION * float(lengths.mean()) - float(excess.min()))
+
+
+def triangle_areas(lengths: np.ndarray) -> np.ndarray:
+    """Return the areas (T,) of triangles with edge `lengths` (T, 3), by Kahan's stable form of Heron's formula."""
+    c, b, a = np.sort(lengths, axis=1).T
+    return 0.25 * np.sqrt(np.maximum((a + (b + c)) * (c - (a - b)) * (c + (a - b)) * (a + (b - c)), 0.0))
+
+
+def assemble_laplacian(triangles: np.ndarray, lengths: np.ndarray, vertex_count: int) -> sparse.csc_array:
+    """Return the positive semidefinite cotangent Laplacian (V, V), the integral of the product of gradients of hat functions.
+
+    triangles: (T, 3). lengths: (T, 3), of the edges opposite to each corner, none degenerate (`mollify_lengths`).
+    """
+    squared = lengths**2
+    half_cotangents = (squared.sum(axis=1, keepdims=True) - 2.0 * squared) / (8.0 * triangle_areas(lengths))[:, None]
+    starts, ends = np.roll(triangles, -1, axis=1).ravel(), np.roll(triangles, -2, axis=1).ravel()
+    weights = half_cotangents.ravel()
+    rows, columns = np.concatenate([starts, ends, starts, ends]), np.concatenate([ends, starts, starts, ends])
+    values = np.concatenate([-weights, -weights, weights, weights])
+    return sparse.coo_array((values, (rows, columns)), shape=(vertex_count, vertex_count)).tocsc()
+
+
+def integrate_over_vertices(triangles: np.ndarray, areas: np.ndarray, corner_values: np.ndarray, vertex_count: int) -> np.ndarray:
+    """Return the integrals (V,) of `corner_values` (T, 3), each over a third of its triangle's area. areas: (T,)."""
+    return np.bincount(triangles.ravel(), (areas[:, None] / 3.0 * corner_values).ravel(), minlength=vertex_count)
+
+
+def integrate_mean_curvature(vertices: np.ndarray, triangles: np.ndarray, edges: Edges) -> np.ndarray:
+    """Return the mean curvature integrated around each vertex, (V,) float64, positive where the surface is convex (Steiner's formula).
+
+    An edge has half its dihedral angle times its length, divided among its ends. Boundaries and edges with more than two triangles, or with
+    two of opposite orientation, have none. The value of a vertex stays bounded however small its triangles are, so that filtering averages
+    the noise of fine meshes, and a crease has the same strength at all densities.
+    """
+    corners = vertices[triangles]
+    normals = face_areas_and_normals(corners)[1]
+    first, second = edges.interior_halfedges.T
+    starts, ends = halfedge_ends(triangles, first).T
+    is_oriented = starts == halfedge_ends(triangles, second)[:, 1]
+    first, second, starts, ends = first[is_oriented], second[is_oriented], starts[is_oriented], ends[is_oriented]
+    left, right, along = normals[first // 3], normals[second // 3], vertices[ends] - vertices[starts]
+    lengths = np.linalg.norm(along, axis=1)
+    sines = np.einsum("ij,ij->i", np.cross(left, right), along / np.where(lengths > 0.0, lengths, 1.0)[:, None])
+    angles = np.arctan2(sines, np.einsum("ij,ij->i", left, right))
+    halves = 0.25 * angles * lengths
+    return np.bincount(starts, halves, minlength=len(vertices)) + np.bincount(ends, halves, minlength=len(vertices))

@@ -4,6 +4,13 @@ A step of length h solves (M + h L) u' = M u with masses M and Laplacian L. Its 
 so nothing is differentiated. Small times are computed on the mesh; two scales that follow each other use the same step length and so one
 factorization. Large times are computed on coarse levels. What comes back to a finer level is smoothed there by one step with the
 factorization that this level used last, and the time on the coarse level is shorter by that step.
+
+Coarse levels are made by smoothed aggregation. Vertices that are close together become an aggregate, around roots that are a maximal
+independent set at distance two (Bell, Dalton and Olson, "Exposing Fine-Grained Parallelism in Algebraic Multigrid Methods", 2012).
+Functions on aggregates are smoothed, and Laplacian and masses are projected onto them (Galerkin). Where vertices are farther apart than the
+radius of a level they remain, so that the coarse functions are about equally wide on irregular meshes. Such functions have a larger
+gradient than those that they approximate. The Laplacian is divided by the factor by which this changes the energy of smooth functions
+(overcorrection, as in Braess, "Towards Algebraic Multigrid for Elliptic Problems of Second Order", 1995).
 """
 
 from collections.abc import Sequence
@@ -23,22 +30,26 @@ GROWTHS = [Fraction(*pair) for pair in [(6, 5), (5, 4), (4, 3), (7, 5), (3, 2), 
 MIN_STEPS, COARSE_STEPS = 2, 3  # per scale, on the mesh and on coarse levels
 SIGMA_PER_RADIUS = 4.0  # from this standard deviation on, relative to its radius, a level is fine enough
 SEARCH_SIZE = 2500  # degrees of freedom on which the largest scale is searched
-SEARCH_GROWTH = 1.15  # of the standard deviation between two steps of the search
+SEARCH_GROWTH = 1.15  # Factor of the standard deviation between two steps of the search.
 RADIUS_GROWTH = 2.5  # between two levels: that of the distance between roots
 MIN_SIZE = 400  # degrees of freedom below which a level is not coarsened
 MAX_LEVELS = 12
-MIN_REDUCTION = 0.9  # of the size: levels that reduce less are left out
+MIN_REDUCTION = 0.9  # Levels with more than this fraction of the degrees of freedom are left out.
 SMOOTHING = 2.0 / 3.0  # damping of the Jacobi steps that smooth functions on aggregates
-SMOOTHING_STEPS, COORDINATE_STEPS = 2, 12  # of functions on aggregates, and of the coordinates whose energy is compared
-MIN_ENERGY = 0.1  # of coarse coordinates relative to fine ones; below, most components have become points
+SMOOTHING_STEPS, COORDINATE_STEPS = 2, 12  # Steps of functions on aggregates, and of the coordinates whose energy is compared.
+MIN_ENERGY = 0.1  # With a smaller energy of coarse coordinates, relative to fine ones, most components have become points.
 MASS_DIGITS = 1e5  # mass relative to the mean is rounded to this for an order that does not depend on that of the vertices
 
 
 @dataclass(frozen=True)
 class Level:
-    """Laplacian and mass (n, n) of functions with n degrees of freedom at `positions` (n, 3).
+    """Functions with n degrees of freedom on a mesh.
 
-    radius: distance within which vertices were aggregated, 0 for the mesh itself. prolongation: (n of the finer level, n), None there.
+    Attributes:
+        laplacian, mass: (n, n).
+        positions: (n, 3), of the degrees of freedom.
+        radius: distance within which vertices were aggregated, 0 for the mesh itself.
+        prolongation: (n of the finer level, n), None for the mesh itself.
     """
 
     laplacian: sparse.csc_array

@@ -1,9 +1,11 @@
 """Zero crossings on a mesh, traced from coarse scales to the place of the structure that causes them.
 
-A crossing moves away from its structure as the scale grows: the crossings beside a crease are one standard deviation from it. So each is
+A crossing moves away from its structure as the scale grows: the crossings next to a crease are one standard deviation from it. So each is
 traced to the nearest one of the finer scale, and so on to the mesh, as in Witkin, "Scale-Space Filtering" (1983): a feature is identified
 at a coarse scale and localized at the finest. There, a feature of the shape is the vertex with the strongest curvature among the one found
-and its neighbors.
+and its neighbors. Of several features that are closer together than their scale can tell apart, one persists.
+
+The scale map has for each vertex the last scale at which it is a feature (section III.A of the TexMesh paper).
 """
 
 from dataclasses import dataclass
@@ -16,7 +18,7 @@ from ...geometry.edges import Edges
 from ..textured_mesh import TexturedMesh
 
 ROUNDING = 1e-6  # strength, relative to the range of the signal, of what owes its sign to rounding
-MAX_NEIGHBORS, MAX_HALVINGS = 64, 40  # of a point on average, and of the radius until there are no more
+MAX_NEIGHBORS, MAX_HALVINGS = 64, 40  # Neighbors of a point on average; the radius is halved until there are no more.
 
 
 class FeatureTracer:

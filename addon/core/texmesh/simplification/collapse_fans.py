@@ -1,4 +1,7 @@
-"""The triangles around removed vertices, before and after their collapses."""
+"""The triangles around removed vertices, before and after their collapses.
+
+Collapses are refused for the topology of the surface, folds in space, and flips of texture coordinates.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,18 +15,23 @@ from .topology import BOUNDARY, Collapses, Topology
 VALID, TOPOLOGY, SHORT_CURVE, FOLD, FLIP = range(5)  # why a collapse is refused
 MIN_NORMAL_COSINE = 0.2  # between the normals of a triangle before and after a collapse
 MIN_FACING_COSINE = 0.0  # between the normal of a triangle and those of the fine mesh at its vertices
-MIN_QUALITY = 0.05  # of triangles in space; 1 is equilateral
-MIN_UV_QUALITY = 0.005  # of triangles in texture space
-DEGENERATE_QUALITY = 1e-6  # of triangles in texture space that count as having no area
+MIN_QUALITY = 0.05  # Quality of triangles in space; 1 is equilateral.
+MIN_UV_QUALITY = 0.005  # Quality of triangles in texture space.
+DEGENERATE_QUALITY = 1e-6  # Triangles in texture space with a lower quality count as having no area.
 
 
 @dataclass(frozen=True)
 class CollapseFans:
     """All corners of removed vertices, in P pairs.
 
-    collapses: N of them. owners: (P,) int32, index of the collapse, ascending. corners: (P,) int32, halfedges that begin at the removed
-    vertices. following, preceding: (P,) int32, the other two vertices of their triangles. vanishes: (P,) bool, whether a triangle contains
-    the kept vertex, too. wedges: (P,) int32, the wedge of the kept vertex that replaces that of the removed one.
+    Attributes:
+        topology: of the mesh.
+        collapses: N of them.
+        owners: (P,) int32, index of the collapse, ascending.
+        corners: (P,) int32, halfedges that begin at the removed vertices.
+        following, preceding: (P,) int32, the other two vertices of their triangles.
+        vanishes: (P,) bool, whether a triangle contains the kept vertex, too.
+        wedges: (P,) int32, the wedge of the kept vertex that replaces that of the removed one.
     """
 
     topology: Topology
@@ -192,7 +200,7 @@ def _breaks_topology(fans: CollapseFans) -> np.ndarray:
     apex = np.where(twins >= 0, topology.ends[topology.next(np.maximum(twins, 0))], -1)
     is_broken |= fans.any_of(~fans.vanishes & (apex == collapses.kept[fans.owners]))
     owners, _, at_kept = fans.merged_halfedges
-    is_alone = topology.twins[at_kept] == BOUNDARY  # of an ear, nothing remains
+    is_alone = topology.twins[at_kept] == BOUNDARY  # Nothing remains of an ear.
     counts = np.bincount(fans.owners, minlength=len(collapses.removed))
     is_broken[owners[is_alone & (counts[owners] == 1)]] = True
     return is_broken

@@ -14,9 +14,9 @@ from .collapse_fans import measure_uv_quality
 from .engine import CollapseEngine
 from .topology import BOUNDARY, label_connected
 
-MAX_LOCKED_FRACTION = 0.25  # of the vertices of a level: with more, what can be unlocked is unlocked before all others are gone
-SMALLEST_FRACTION = 0.5  # of the size of small components: those that are dropped before triangles fold
-LARGER_FACTOR = 2.0  # of the size of small triangles: those that fold before larger components are dropped
+MAX_LOCKED_FRACTION = 0.25  # If more of the vertices of a level are locked, what can be unlocked is unlocked before all others are gone.
+SMALLEST_FRACTION = 0.5  # Components below this fraction of the size of small ones are dropped before triangles fold.
+LARGER_FACTOR = 2.0  # Triangles up to this multiple of the size of small ones fold before larger components are dropped.
 MIN_FILL_QUALITY = 1e-3  # in texture space, of triangles that close holes
 
 

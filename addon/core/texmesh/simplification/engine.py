@@ -2,6 +2,7 @@
 
 Vertices and wedges never move. In each round, vertices are taken from the beginning of an order, as far as they share no triangle. Each
 collapses onto the first of its neighbors that the guards accept. A vertex that is refused is tried again when its neighborhood has changed.
+For each collapse it is recorded how much it is seen (section IV.B of the paper).
 """
 
 from typing import Protocol
@@ -27,10 +28,10 @@ from .collapse_fans import (
 from .topology import BOUNDARY, Collapses, Topology, build_topology, divide_into_surfaces, find_islands
 
 MAX_ATTEMPTS = 8  # neighbors that are tried per vertex and round
-WINDOW_FRACTION, MIN_WINDOW = 0.2, 48  # of the vertices that may be removed: the first, from which a round chooses
+WINDOW_FRACTION, MIN_WINDOW = 0.2, 48  # A round chooses from the first vertices that may be removed: this fraction, or this number.
 WINDOW_EXCESS = 3.0  # at most so many times the vertices that are still to be removed
-MIN_RETRY_FRACTION = 0.01  # of the refused vertices: collapses since their last attempt, from which on they are tried again
-RANK_JITTER = 0.5  # of the window; without it, smooth orders would shrink row by row
+MIN_RETRY_FRACTION = 0.01  # Refused vertices are tried again after collapses of this fraction of their number.
+RANK_JITTER = 0.5  # Ranks vary by this fraction of the window; otherwise smooth orders would shrink row by row.
 
 
 class PerceptualValues:

@@ -18,7 +18,7 @@ from .drastic import DrasticSteps
 from .engine import CollapseEngine, RemovalOrder
 from .removal_orders import CheapestOrder, CollapseCost, GivenOrder, TextureQuadrics
 
-TOLERANCE = 0.01  # of a target: a count within it has reached the target
+TOLERANCE = 0.01  # A count that exceeds the target by this fraction has reached it.
 REFUSALS = {
     VALID: "{} without a possible collapse",
     FOLD: "{} that would fold the surface over",

@@ -1,7 +1,8 @@
 """Halfedges of a textured mesh, its curves of seams and boundaries, and the collapses that these allow.
 
 Triangles are stored as (3, T), see `geometry.vertex_rings`. Halfedge T * row + t begins at corner `row` of triangle t and ends at the next
-corner. A curve is a chain of seams, or of boundary edges.
+corner. A curve is a chain of seams, or of boundary edges. Meshes are divided at edges with more than two triangles, so that each part is a
+surface.
 """
 
 from dataclasses import dataclass, replace
@@ -24,11 +25,15 @@ WEDGE_BONUS = 4.0  # for triangles with equal wedges at the edge, above every di
 
 @dataclass(frozen=True)
 class Collapses:
-    """N half-edge collapses: `removed` (N,) int32 vertices move onto their neighbors `kept` (N,) int32.
+    """N half-edge collapses.
 
-    halfedges: (N,) int32, between the two. is_reversed: (N,) bool, whether the halfedge begins at the kept vertex, which is so only on
-    boundaries. removed_wedges, kept_wedges: (2, N) int32, wedges of the two in the one or two triangles at the edge; -1 for none.
-    opposite: (2, N) int32, the third vertices of these triangles; -1 for none.
+    Attributes:
+        removed: (N,) int32, vertices that move.
+        kept: (N,) int32, their neighbors onto which they move.
+        halfedges: (N,) int32, between the two.
+        is_reversed: (N,) bool, whether the halfedge begins at the kept vertex, which is so only on boundaries.
+        removed_wedges, kept_wedges: (2, N) int32, wedges of the two in the one or two triangles at the edge; -1 for none.
+        opposite: (2, N) int32, the third vertices of these triangles; -1 for none.
     """
 
     removed: np.ndarray
@@ -49,11 +54,15 @@ class Collapses:
 class Topology:
     """Connectivity of T triangles among V vertices.
 
-    starts, ends, wedges: (3 T,) int32, the vertices of each halfedge, and the wedge at its start. twins: (3 T,) int32, the halfedge of the
-    other triangle, BOUNDARY, or AMBIGUOUS at edges whose triangles are no oriented surface. is_curve: (3 T,) bool. seam_counts,
-    boundary_counts: (V,) the number of such edges at a vertex. is_locked: (V,) bool. is_free_end: (V,) bool, ends of seams that may
-    collapse into islands. edge_keys: (E,) int64, ascending, from
-    `encode_pairs`.
+    Attributes:
+        starts, ends, wedges: (3 T,) int32, the vertices of each halfedge, and the wedge at its start.
+        twins: (3 T,) int32, the halfedge of the other triangle, BOUNDARY, or AMBIGUOUS at edges whose triangles are no oriented surface.
+        is_curve: (3 T,) bool, whether the edge is on a seam or a boundary.
+        seam_counts, boundary_counts: (V,) the number of such edges at a vertex.
+        is_locked: (V,) bool, vertices that stay.
+        is_free_end: (V,) bool, ends of seams that may collapse into islands.
+        edge_keys: (E,) int64, ascending, from `encode_pairs`.
+        rings: the corners around each vertex.
     """
 
     starts: np.ndarray
@@ -94,7 +103,7 @@ class Topology:
         once = np.flatnonzero(self.is_curve & (self.twins < np.arange(len(self.twins))))
         vertices, others = (np.concatenate(pair) for pair in ((self.starts[once], self.ends[once]), (self.ends[once], self.starts[once])))
         neighbors = np.zeros((2, self.vertex_count), np.int32)
-        neighbors[0, vertices], neighbors[1, vertices[::-1]] = others, others[::-1]  # of several assignments, the last one stays
+        neighbors[0, vertices], neighbors[1, vertices[::-1]] = others, others[::-1]  # The last of several assignments stays.
         return neighbors
 
     @cached_property

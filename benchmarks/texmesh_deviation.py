@@ -1,13 +1,22 @@
-"""How far a level deviates from the fine mesh: in space, and between equal texture coordinates."""
+"""Levels that deviate least from a fine mesh, and how far a level deviates: in space, and between equal texture coordinates."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from ...geometry.distance import closest_on_mesh
-from ..simplification.topology import find_islands
-from ..textured_mesh import TexturedMesh
-from .correspondence import SurfaceSamples, compute_uv_scale, find_correspondence, match_islands, sample_surface
+from farfield.addon.core.geometry.distance import closest_on_mesh
+from farfield.addon.core.jobs.progress import Steps, subprogress
+from farfield.addon.core.texmesh import TexmeshSettings
+from farfield.addon.core.texmesh.refitting.correspondence import (
+    SurfaceSamples,
+    compute_uv_scale,
+    find_correspondence,
+    match_islands,
+    sample_surface,
+)
+from farfield.addon.core.texmesh.refitting.refit import TUNING, make_starts, refit_starts
+from farfield.addon.core.texmesh.simplification.topology import find_islands
+from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
 DEFAULT_SAMPLES = 100_000
 MIN_LABEL_SAMPLES = 20_000  # that tell which island a triangle of a level belongs to
@@ -77,3 +86,18 @@ def _summarize(distances: np.ndarray, uncovered_fraction: float) -> Deviation:
 
 def _diagonal(mesh: TexturedMesh) -> float:
     return float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+
+
+def make_refit_levels(
+    fine: TexturedMesh, targets: list[int], settings: TexmeshSettings, iterations: int = TUNING.iterations
+) -> Steps[list[TexturedMesh]]:
+    """Make a level of `fine` for each of the `targets`, triangle counts that descend, with the smallest deviation found.
+
+    Levels start as subset levels by `DeviationQuadrics`, a little below their target, are refitted, and gain triangles where they deviate
+    most. A level has more triangles than its target only where the constraints of the simplification stop it.
+
+    Raises:
+        SettingsError: the targets do not descend or are not positive.
+    """
+    starts = yield from subprogress(make_starts(fine, targets, settings), 0.0, TUNING.simplification_fraction)
+    return (yield from subprogress(refit_starts(fine, starts, targets, iterations), TUNING.simplification_fraction, 1.0))
