@@ -114,7 +114,7 @@ class TestLabeling:
 
 
 def test_smooth_parts_do_not_fill_other_textures():
-    """A texture beside a calm one, whose differences from anything are small. Without regard to contrast all copies come from there."""
+    """A texture next to a calm one, whose differences from anything are small. Without regard to contrast all copies come from there."""
     random = np.random.default_rng(3)
     image = gaussian_filter(random.random((90, 180, 1)), (1, 1, 0)).astype(np.float32)
     image[:, :90] = 0.5 + 0.15 * (image[:, :90] - 0.5)
@@ -147,7 +147,7 @@ class TestFilling:
     def test_a_deep_hole_is_filled_in_bands_without_a_gap(self, monkeypatch):
         monkeypatch.setattr(regions, "BAND", 12)
         random = np.random.default_rng(6)
-        image, hole = gaussian_filter(random.random((200, 210, 1)), (1, 1, 0)).astype(np.float32), disk((200, 210), 45)
+        image, hole = gaussian_filter(random.random((140, 150, 1)), (1, 1, 0)).astype(np.float32), disk((140, 150), 30)
         page, level = build_level(image, hole)
         run_to_end(fill_texture([page], [level], RestoreSettings(levels=1)))
         sources = level.source[level.hole]
