@@ -114,7 +114,7 @@ def session() -> Iterator[float]:
     mask = user.shown
     results["painted"] = float((read(mask)[..., 0] > 0.5).mean())
     results["covered"] = float((read(mask)[SCRATCH][..., 0] > 0.5).mean())
-    results["segments"] = len(outline.segments_of(source))
+    results["segments"] = len(outline.outlines[source.session_uid].segments)
     save_screenshot("2-painted")
 
     user.area.spaces.active.ui_mode = "VIEW"

@@ -5,7 +5,7 @@ import pytest
 from farfield.addon.core.photos import merging
 from farfield.addon.core.photos.texels import pages
 
-OBSERVED_POINTS = 12_000
+OBSERVED_POINTS = 6_000
 OVERLAP_SIZE = 256
 
 

@@ -14,6 +14,7 @@ from farfield.addon.core.photos.settings import PhotosSettings
 from photo_scenes import SIZE, camera_at, grid, photograph, smooth_texture
 
 COLOR = (0.9, 0.85, 0.3)
+pytestmark = pytest.mark.usefixtures("quick_merges")
 DOME = 0.7
 
 
@@ -62,7 +63,7 @@ def test_medians_are_those_of_scipy():
 
 @pytest.mark.parametrize("kind", ["uniform", "gradient"])
 @pytest.mark.parametrize("mode", ["auto", "border"])
-@pytest.mark.parametrize("shift", [0.0, 2.0, 5.0])
+@pytest.mark.parametrize("shift", [0.0, pytest.param(2.0, marks=pytest.mark.exhaustive), 5.0])
 def test_the_background_is_found_and_nothing_else(kind, mode, shift):
     mesh, _, photographs, shown = shoot(kind, shift=shift)
     for taken, covered in zip(photographs, shown, strict=True):
@@ -102,7 +103,7 @@ def test_masked_pixels_do_not_say_what_the_background_is():
     assert is_rare(used & ~covered & mask)
 
 
-@pytest.mark.parametrize("method", ["best", "average"])
+@pytest.mark.parametrize("method", ["average", pytest.param("best", marks=pytest.mark.exhaustive)])
 def test_no_background_in_the_texture(method):
     texture = np.full((SIZE, SIZE, 3), 0.2, np.float32)
     mesh, uvs, photographs, _ = shoot("uniform", shift=4.0, texture=texture)

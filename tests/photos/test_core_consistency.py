@@ -10,11 +10,13 @@ from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.photos.merging import merge
 from farfield.addon.core.photos.photographs.consistency import count_cells, rate_photographs
 from farfield.addon.core.photos.photographs.photograph import Photograph
-from farfield.addon.core.photos.settings import METHODS, PhotosSettings
+from farfield.addon.core.photos.settings import PhotosSettings
 from photo_scenes import SIZE, grid, observations, photograph, ring, smooth_texture
 
 FRAME = (320, 240)
 POINTS = 20_000
+
+pytestmark = pytest.mark.usefixtures("quick_merges")
 
 
 def rate(change=None, count=5, visible=None, noise=0.01, seed=0):
@@ -46,13 +48,13 @@ def paint_disk(x, y, colors):
     colors[2, disk(x, y, 40.0)] = [0.9, 0.1, 0.8]
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(count=st.integers(1, 6), noise=st.floats(0.0, 0.03), seed=st.integers(0, 2**31))
 def test_photographs_that_agree_are_trusted(count, noise, seed):
     assert min(trust.min() for trust in rate(count=count, noise=noise, seed=seed)) > 0.7
 
 
-@pytest.mark.parametrize("count", [3, 5, 8])
+@pytest.mark.parametrize("count", [3, 5, pytest.param(8, marks=pytest.mark.exhaustive)])
 def test_what_one_photograph_shows_loses_its_weight(count):
     trust = rate(paint_disk, count)
     assert (trust[2][cells(lambda x, y: disk(x, y, 38.0))] < 0.1).all()
@@ -98,7 +100,9 @@ def test_without_observations_everything_is_trusted():
     assert [each.shape for each in trust] == [count_cells(FRAME)[::-1]] * 5 and all((each == 1.0).all() for each in trust)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    "method", ["average", pytest.param("best", marks=pytest.mark.exhaustive), pytest.param("paper", marks=pytest.mark.exhaustive)]
+)
 def test_a_passer_by_does_not_appear_in_the_texture(method):
     mesh, uvs = grid(12)
     texture = smooth_texture(3)

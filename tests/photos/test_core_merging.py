@@ -17,7 +17,7 @@ from farfield.addon.core.photos.photographs.color_correction import estimate_gai
 from farfield.addon.core.photos.photographs.photograph import Photograph, apply_gain
 from farfield.addon.core.photos.photographs.surface import Surface
 from farfield.addon.core.photos.photographs.views import View
-from farfield.addon.core.photos.settings import METHODS, PhotosSettings
+from farfield.addon.core.photos.settings import PhotosSettings
 from farfield.addon.core.photos.texels.face_visibility import HIDDEN, MIXED, VISIBLE, FaceVisibility, ShownSurface
 from farfield.addon.core.photos.texels.hole_interpolation import interpolate_colors
 from farfield.addon.core.photos.texels.regions import choose_labels, find_vertex_labels, solve_corrections
@@ -30,7 +30,7 @@ pytestmark = pytest.mark.usefixtures("quick_merges")
 class TestMerge:
     """Whole merges."""
 
-    @pytest.mark.parametrize("method", METHODS)
+    @pytest.mark.parametrize("method", ["average", "paper"])  # test_core_blending has Best Photograph
     def test_the_texture_comes_back(self, method):
         mesh, uvs = grid(12, lambda x, y: 0.1 * np.sin(2 * x) * np.cos(3 * y))
         texture = smooth_texture()
@@ -41,7 +41,9 @@ class TestMerge:
         assert seen[margin:-margin, margin:-margin].all() and not (result.holes & seen).any()
         assert np.sqrt(np.mean((result.colors - texture)[seen] ** 2)) < 0.01
 
-    @pytest.mark.parametrize("method", METHODS)
+    @pytest.mark.parametrize(
+        "method", ["best", pytest.param("average", marks=pytest.mark.exhaustive), pytest.param("paper", marks=pytest.mark.exhaustive)]
+    )
     def test_images_in_temporary_files_change_nothing(self, method):
         mesh, uvs = grid(12, lambda x, y: 0.1 * np.sin(2 * x) * np.cos(3 * y))
         photographs = [photograph(mesh, uvs, smooth_texture(), camera) for camera in ring(4)]
@@ -55,11 +57,11 @@ class TestMerge:
             assert np.array_equal(getattr(found, name), getattr(expected, name)), name
 
     def test_confidence_is_the_resolution_of_the_photographs(self):
-        """A texel is 2 / 128 units wide; photographs have 300 pixels per unit of depth, 3 units away: 1.6 pixels per texel, or 0.4 for a
-        texture that is four times as fine."""
+        """A texel is 2 / 128 units wide; photographs have 300 pixels per unit of depth, 3 units away: 1.6 pixels per texel, or 0.8 for a
+        texture that is twice as fine."""
         mesh, uvs = grid(4)
         photographs = [photograph(mesh, uvs, smooth_texture(), camera_at((0.0, 0.0, 3.0)))]
-        for size, expected in ((SIZE, 1.0), (4 * SIZE, 0.39)):
+        for size, expected in ((SIZE, 1.0), (2 * SIZE, 0.78)):
             result = run_to_end(merge(mesh, uvs, photographs, PhotosSettings(size=size)))
             assert result.confidence[size // 2, size // 2] == pytest.approx(expected, rel=0.02)
             assert (result.confidence[result.holes] == 0.0).all()
@@ -75,7 +77,7 @@ class TestMerge:
         seen = result.source >= 0
         assert np.sqrt(np.mean((result.colors - expected)[seen] ** 2)) < 0.03
 
-    @pytest.mark.parametrize("method", ["best", "average"])
+    @pytest.mark.parametrize("method", ["best", pytest.param("average", marks=pytest.mark.exhaustive)])
     def test_a_box_of_twelve_triangles_gets_a_texture(self, method):
         mesh, uvs = box()
         texture = smooth_texture(7)
@@ -100,15 +102,6 @@ class TestMerge:
         ground_part = result.colors[:, : SIZE // 2 - 1]
         assert np.abs(ground_part - [0.2, 0.7, 0.3]).max() < 0.03
         assert result.holes[SIZE // 2, SIZE // 4] and not result.holes[4, 4]
-
-    @pytest.mark.parametrize("method", ["best", "average"])
-    def test_a_passer_by_is_left_out(self, method):
-        mesh, uvs = grid(20)
-        texture = smooth_texture(4)
-        photographs = [photograph(mesh, uvs, texture, camera) for camera in ring(6)]
-        photographs[1].pixels[90:150, 110:180] = (255, 0, 255)
-        result = run_to_end(merge(mesh, uvs, photographs, PhotosSettings(size=SIZE, method=method)))
-        assert np.sqrt(np.mean((result.colors - texture)[result.source >= 0] ** 2)) < 0.02
 
     def test_a_mask_is_respected(self):
         mesh, uvs = grid(8)

@@ -31,7 +31,7 @@ def random_pairs(random, count, distortion=None):
     return camera, points, positions
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(seed=st.integers(0, 2**31))
 def test_one_of_the_poses_of_three_points_is_that_of_the_camera(seed):
     random = np.random.default_rng(seed)
@@ -46,7 +46,7 @@ def test_one_of_the_poses_of_three_points_is_that_of_the_camera(seed):
     assert min(np.abs(pose - truth).max() for pose in poses) < 1e-3
 
 
-@pytest.mark.parametrize(("count", "is_lens_known"), [(4, True), (7, False), (12, False)])
+@pytest.mark.parametrize(("count", "is_lens_known"), [(4, True), (7, False), pytest.param(12, False, marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("is_flat", [False, True])
 def test_exact_pairs_give_the_camera(count, is_lens_known, is_flat):
     random = np.random.default_rng(count + is_flat)
@@ -65,7 +65,7 @@ def test_exact_pairs_give_the_camera(count, is_lens_known, is_flat):
 def test_six_noisy_pairs_are_enough(is_lens_known):
     """With noise of 1 px per coordinate, the median camera errs by at most 1.5 px elsewhere."""
     random, errors = np.random.default_rng(1), []
-    for _ in range(9):
+    for _ in range(5):
         camera, points, positions = random_pairs(random, 6)
         noisy = positions[:6] + random.normal(size=(6, 2))
         found = register("a.jpg", points[:6], noisy, SIZE, camera.lens if is_lens_known else None)
@@ -73,10 +73,10 @@ def test_six_noisy_pairs_are_enough(is_lens_known):
     assert np.median(errors) < 1.5, errors
 
 
-@pytest.mark.parametrize(("count", "is_lens_known"), [(7, False), (10, False), (6, True)])
+@pytest.mark.parametrize(("count", "is_lens_known"), [(7, False), pytest.param(10, False, marks=pytest.mark.exhaustive), (6, True)])
 def test_a_wrong_pair_is_found(count, is_lens_known):
     random = np.random.default_rng(2)
-    for _ in range(3):
+    for _ in range(2):
         camera, points, positions = random_pairs(random, count)
         noisy, wrong = positions[:count] + random.normal(size=(count, 2)), random.integers(count)
         angle = random.uniform(0.0, 2.0 * np.pi)
@@ -88,7 +88,7 @@ def test_a_wrong_pair_is_found(count, is_lens_known):
 
 def test_noise_alone_is_not_wrong():
     random = np.random.default_rng(3)
-    for _ in range(3):
+    for _ in range(2):
         _, points, positions = random_pairs(random, 9)
         assert not register("a.jpg", points[:9], positions[:9] + random.normal(size=(9, 2)), SIZE).is_wrong.any()
 

@@ -266,6 +266,7 @@ class TestKeep:
             merge_scene(materials="keep")
         merge_scene()
 
+    @pytest.mark.exhaustive
     def test_undo(self, photographs):
         add_square(stack, (new_material("Rot", (1.0, 0.0, 0.0)), new_material("Metal", (0.0, 0.0, 1.0))))
         bpy.ops.ed.undo_push(message="before")

@@ -64,7 +64,9 @@ def inputs(folder, mesh="with uvs.obj"):
     return (folder / mesh, "--cameras", folder / "cameras", "--images", folder / "images", "--size", SIZE)
 
 
-@pytest.mark.parametrize("extension", [".glb", ".obj", ".blend"])
+@pytest.mark.parametrize(
+    "extension", [".glb", pytest.param(".obj", marks=pytest.mark.exhaustive), pytest.param(".blend", marks=pytest.mark.exhaustive)]
+)
 def test_texture_maps_mesh_and_report_are_written(folder, extension):
     texture, out, report = folder / "t.png", folder / f"out{extension}", folder / "report.json"
     assert run(*inputs(folder), "--texture", texture, "--out", out, "--report", report).startswith("Merged 3 photographs into t.png")

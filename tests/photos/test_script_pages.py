@@ -65,7 +65,7 @@ def check_halves(first, second):
         assert np.sqrt(np.mean((found - expected)[8:-8, 8:-8] ** 2)) < 0.02, path
 
 
-@pytest.mark.parametrize("extension", [".blend", ".obj", ".glb"])
+@pytest.mark.parametrize("extension", [".blend", pytest.param(".obj", marks=pytest.mark.exhaustive), ".glb"])
 def test_a_file_per_tile(inputs, tmp_path, extension):
     mesh, out = write_obj(tmp_path / "mesh.obj", 1.0), tmp_path / f"out{extension}"
     texture, report, stages = tmp_path / "wood.<UDIM>.png", tmp_path / "report.json", tmp_path / "stages"

@@ -147,7 +147,7 @@ class TestFilling:
     def test_a_deep_hole_is_filled_in_bands_without_a_gap(self, monkeypatch):
         monkeypatch.setattr(regions, "BAND", 12)
         random = np.random.default_rng(6)
-        image, hole = gaussian_filter(random.random((200, 210, 1)), (1, 1, 0)).astype(np.float32), disk((200, 210), 45)
+        image, hole = gaussian_filter(random.random((140, 150, 1)), (1, 1, 0)).astype(np.float32), disk((140, 150), 30)
         page, level = build_level(image, hole)
         run_to_end(fill_texture([page], [level], RestoreSettings(pyramid_levels=1)))
         sources = level.source[level.hole]

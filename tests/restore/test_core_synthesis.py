@@ -60,7 +60,7 @@ class TestKnownAnswers:
     """Images with one right answer."""
 
     @pytest.mark.parametrize(("method", "order"), ALL_METHODS)
-    @pytest.mark.parametrize("axis", [0, 1])
+    @pytest.mark.parametrize("axis", [0, pytest.param(1, marks=pytest.mark.exhaustive)])
     def test_stripes_continue(self, method, order, axis):
         image, mask = stripes((72, 80), axis=axis), disk((72, 80), 10)
         result = run(np.where(mask[..., None], np.float32(9.0), image), mask, method=method, order=order, **TEXTURE_ONLY)
@@ -97,7 +97,8 @@ class TestKnownAnswers:
         mask = disk((140, 160), 26)
         damaged, errors, contrasts = np.where(mask[..., None], np.float32(0.0), image), {}, {}
         for name, values in (("auto", {}), ("synthesis", TEXTURE_ONLY), ("diffusion", {"split": "diffusion"})):
-            results = [run(damaged, mask, seed=seed, method="pixels", **values) for seed in range(3)]
+            seeds = range(1 if name == "diffusion" else 2)
+            results = [run(damaged, mask, seed=seed, method="pixels", **values) for seed in seeds]
             smooth = [gaussian_filter((result.pixels - image)[..., 0], 6.0)[mask] for result in results]
             errors[name] = np.sqrt(np.mean(np.square(smooth)))
             detail = [(result.pixels[..., 0] - gaussian_filter(result.pixels[..., 0], 3.0))[mask] for result in results]
@@ -140,7 +141,7 @@ class TestKnownAnswers:
 class TestInvariants:
     """What holds for every image."""
 
-    @settings(max_examples=15)
+    @settings(max_examples=8)
     @given(st.integers(0, 2**31), st.sampled_from(ALL_METHODS), st.integers(1, 5), st.booleans(), st.integers(1, 4))
     def test_known_pixels_stay_and_others_are_within_their_range(self, seed, method_and_order, levels, tileable, channels):
         method, order = method_and_order
@@ -154,9 +155,9 @@ class TestInvariants:
         assert (result.pixels[~mask] == image[~mask]).all() and np.isfinite(result.pixels).all()
         assert (result.pixels[mask] >= image[~mask].min(axis=0)).all() and (result.pixels[mask] <= image[~mask].max(axis=0)).all()
 
-    @pytest.mark.parametrize("method", METHODS)
-    def test_only_equal_seeds_give_equal_bytes(self, method):
-        image, mask = gaussian_filter(noise((260, 260)), (2.0, 2.0, 0.0)), disk((260, 260), 20)
+    @pytest.mark.parametrize(("method", "side", "radius"), [("regions", 260, 20), ("pixels", 140, 10)])
+    def test_only_equal_seeds_give_equal_bytes(self, method, side, radius):
+        image, mask = gaussian_filter(noise((side, side)), (2.0, 2.0, 0.0)), disk((side, side), radius)
         first, again, other = (run(image, mask, seed=seed, method=method, **TEXTURE_ONLY).pixels.tobytes() for seed in (5, 5, 6))
         assert first == again != other
 
@@ -172,12 +173,12 @@ class TestInvariants:
 
     @pytest.mark.parametrize("method", METHODS)
     def test_only_the_source_mask_is_copied(self, method):
-        image, mask = noise((100, 200)), disk((100, 200), 35, (50, 50))
-        image[:, :100] *= np.float32([1.0, 0.0, 0.0])
-        image[:, 100:] *= np.float32([0.0, 0.0, 1.0])
+        image, mask = noise((84, 168)), disk((84, 168), 31, (42, 42))
+        image[:, :84] *= np.float32([1.0, 0.0, 0.0])
+        image[:, 84:] *= np.float32([0.0, 0.0, 1.0])
         source_mask = np.zeros(mask.shape, bool)
-        source_mask[:, 104:] = True
-        inside = disk((100, 200), 5, (50, 50))  # away from the boundary, where the seam is blended
+        source_mask[:, 88:] = True
+        inside = disk((84, 168), 4, (42, 42))  # away from the boundary, where the seam is blended
         blue = run(image, mask, source_mask=source_mask, pyramid_levels=1, method=method, **TEXTURE_ONLY).pixels[inside]
         assert blue[:, 2].mean() > 0.3 > 0.1 > blue[:, 0].mean()
         red = run(image, mask, source_mask=~source_mask, pyramid_levels=1, method=method, **TEXTURE_ONLY).pixels[inside]

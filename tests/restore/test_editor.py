@@ -204,6 +204,12 @@ def test_one_undo_removes_the_result_and_its_use(empty_scene):
     assert [node.image.name for node in bpy.data.materials["wall"].node_tree.nodes if node.type == "TEX_IMAGE"] == ["source"]
 
 
+def count_segments(image):
+    """The number of line segments that are drawn over an image."""
+    found = outline.outlines.get(image.session_uid)
+    return 0 if found is None else len(found.segments)
+
+
 class TestShownMasks:
     """The missing pixels that the outline surrounds."""
 
@@ -236,13 +242,13 @@ class TestShownMasks:
         outline.clear()
         outline._requested[image.session_uid] = bpy.context.scene.name
         outline.update()
-        assert len(outline.segments_of(image)) == 0
+        assert count_segments(image) == 0
         mask.pixels.foreach_set(np.ones(HEIGHT * WIDTH * 4, np.float32))
         outline._requested[image.session_uid] = bpy.context.scene.name
         outline.update()
-        assert len(outline.segments_of(image)) == 4, "the border of the image"
+        assert count_segments(image) == 4, "the border of the image"
         outline.clear()
-        assert len(outline.segments_of(image)) == 0
+        assert count_segments(image) == 0
 
 
 def test_the_outline_is_cleared_when_a_file_is_opened(empty_scene):
@@ -251,10 +257,10 @@ def test_the_outline_is_cleared_when_a_file_is_opened(empty_scene):
     bpy.context.scene.farfield_restore.mask_image = "mask"
     outline._requested[image.session_uid] = bpy.context.scene.name
     outline.update()
-    assert len(outline.segments_of(image))
+    assert count_segments(image)
     uid = image.session_uid
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    assert uid not in outline._outlines
+    assert uid not in outline.outlines
 
 
 def test_a_closed_editor_is_no_error(empty_scene):

@@ -107,11 +107,11 @@ def test_brightness_of_the_mask_counts_with_its_alpha():
 
 def test_texture_comes_from_the_source_mask():
     random = np.random.default_rng(3)
-    pixels = np.ones((64, 128, 4), np.float32)
-    pixels[:, :64, :3] = random.integers(100, 150, (64, 64, 1)) / np.float32(255.0)
-    pixels[:, 64:, :3] = random.integers(0, 250, (64, 64, 1)) / np.float32(255.0)
-    mask, allowed, inside = (np.zeros((64, 128), bool) for _ in range(3))
-    mask[12:52, 76:116], allowed[:, :64], inside[26:38, 90:102] = True, True, True  # inside: where no seam is blended
+    pixels = np.ones((48, 96, 4), np.float32)
+    pixels[:, :48, :3] = random.integers(100, 150, (48, 48, 1)) / np.float32(255.0)
+    pixels[:, 48:, :3] = random.integers(0, 250, (48, 48, 1)) / np.float32(255.0)
+    mask, allowed, inside = (np.zeros((48, 96), bool) for _ in range(3))
+    mask[10:38, 58:86], allowed[:, :48], inside[20:28, 68:76] = True, True, True  # inside: where no seam is blended
     new_image("source", pixels)
     new_mask("mask", mask)
     new_mask("calm", allowed)

@@ -15,12 +15,9 @@ MIN_USABLE = 0.5  # gray level of a mask from which a pixel is usable
 
 
 def read_photograph(camera: PhotoCamera, folder: Path) -> Photograph:
-    """Read the photograph of `camera` in `folder`, where its name may have another extension. 8-bit pixels stay as they are.
-
-    Raises:
-        FileError: there is no such file, or it cannot be read.
-        ImageError: it is gray with alpha, or its size is not that of the camera.
-    """
+    """Read the photograph of `camera` in `folder`, where its name may have another extension. 8-bit pixels stay as they are. Raises
+    FileError if there is no such file, or it cannot be read, and ImageError if it is gray with alpha, or its size is not that of the
+    camera."""
     return read_photograph_file(camera, find_photograph(folder, camera.name))
 
 
@@ -78,11 +75,7 @@ def check_mask_folder(folder: Path, names: list[str]) -> None:
 
 def apply_mask_file(photograph: Photograph, folder: Path) -> Photograph:
     """Return the photograph without the pixels that are darker than middle gray in its mask in `folder`; as it is if it has no mask there.
-
-    Raises:
-        FileError: the mask cannot be read.
-        ImageError: it has another size than the photograph.
-    """
+    Raises FileError if the mask cannot be read, and ImageError if it has another size than the photograph."""
     path = find_mask(folder, photograph.camera.name)
     if path is None:
         return photograph

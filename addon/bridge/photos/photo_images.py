@@ -39,12 +39,7 @@ class PhotoSource:
     flip_y: bool
 
     def read(self) -> Photograph:
-        """Return the photograph.
-
-        Raises:
-            FileError: its file cannot be read.
-            ImageError: its size is not that of the camera.
-        """
+        """Return the photograph. Raises FileError if its file cannot be read, and ImageError if its size is not that of the camera."""
         photograph = self.source if isinstance(self.source, Photograph) else read_photograph_file(self.camera, self.source)
         step = np.s_[:: -1 if self.flip_y else 1, :: -1 if self.flip_x else 1]
         mask = None if photograph.mask is None else np.ascontiguousarray(photograph.mask[step])
@@ -52,12 +47,9 @@ class PhotoSource:
 
 
 def open_background(camera: PhotoCamera, background: bpy.types.CameraBackgroundImage) -> PhotoSource:
-    """Return the photograph of a background image. Files that Blender shows as they are will be read later, all others are read now.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        ImageError: it is not a single image, or its size is not that of the camera.
-    """
+    """Return the photograph of a background image. Files that Blender shows as they are will be read later, all others are read now. Raises
+    FileError if the file is missing or cannot be read, and ImageError if it is not a single image, or its size is not that of the
+    camera."""
     image = background.image
     if image.source not in {"FILE", "GENERATED"}:
         raise ImageError(f'The background image "{image.name}" is not a single image; open each photograph as an image of its own.')

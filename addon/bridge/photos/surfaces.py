@@ -40,7 +40,10 @@ def read_surface(instances: list[SourceInstance], new_uvs: Mapping[int, np.ndarr
     for instance in instances:
         uvs = (new_uvs or {}).get(instance.object_uid)
         if uvs is None:
-            uvs = _read_uvs(instance)
+            mesh = instance.mesh
+            if not mesh.uv_map:
+                raise GeometryError(f'"{instance.name}" has no UV map; unwrap it first.')
+            uvs = mesh.at_corners(mesh.uv_map, np.arange(len(mesh.triangles)))
         corner_uvs.append(uvs[:, ::-1] if instance.is_mirrored else uvs)
     return PhotoSurface(concatenate_in_world_space(instances), np.concatenate(corner_uvs).astype(np.float32))
 
@@ -105,10 +108,3 @@ def to_projection(camera: PhotoCamera, points: np.ndarray) -> CameraProjection |
     view = np.eye(4)
     view[:3, :3], view[:3, 3] = camera.rotation, camera.translation
     return CameraProjection(projection @ view, camera.lens.size)
-
-
-def _read_uvs(instance: SourceInstance) -> np.ndarray:
-    mesh = instance.mesh
-    if not mesh.uv_map:
-        raise GeometryError(f'"{instance.name}" has no UV map; unwrap it first.')
-    return mesh.at_corners(mesh.uv_map, np.arange(len(mesh.triangles)))

@@ -39,14 +39,14 @@ class _Outline:
 class MaskOutline:
     """The draw handler, the timer and the outlines of the images that editors have shown.
 
-    is_hidden: whether the user has switched the outline off.
+    is_hidden: whether the user has switched the outline off. outlines: by the session UID of the image.
     """
 
     def __init__(self) -> None:
         self.is_hidden = False
         self._handler: Any = None
         self._find_masks: FindMasks | None = None
-        self._outlines: dict[int, _Outline] = {}
+        self.outlines: dict[int, _Outline] = {}
         self._requested: dict[int, str] = {}
         self._next_update = 0.0
 
@@ -70,15 +70,10 @@ class MaskOutline:
 
     def clear(self) -> None:
         """Forget all outlines."""
-        self._outlines.clear()
+        self.outlines.clear()
         self._requested.clear()
         if bpy.app.timers.is_registered(_update):
             bpy.app.timers.unregister(_update)
-
-    def segments_of(self, image: bpy.types.Image) -> np.ndarray:
-        """Return the line segments (N, 2, 2) that were last drawn over `image`, in UV space."""
-        found = self._outlines.get(image.session_uid)
-        return np.zeros((0, 2, 2), np.float32) if found is None else found.segments
 
     def update(self) -> None:
         """Find the missing pixels of the images that were drawn since the last update, and redraw where they have changed."""
@@ -88,13 +83,13 @@ class MaskOutline:
             masks = {} if image is None or scene is None else self._find_masks(image, scene)
             parts = [find_segments(mask) + _tile_offset(number) for number, mask in masks.items()]
             segments = np.concatenate(parts) if parts else np.zeros((0, 2, 2), np.float32)
-            if uid not in self._outlines or not np.array_equal(self._outlines[uid].segments, segments):
-                self._outlines.pop(uid, None)
-                self._outlines[uid] = _Outline(segments)
+            if uid not in self.outlines or not np.array_equal(self.outlines[uid].segments, segments):
+                self.outlines.pop(uid, None)
+                self.outlines[uid] = _Outline(segments)
                 has_changed = True
         self._requested.clear()
-        while len(self._outlines) > MAX_OUTLINES:
-            del self._outlines[next(iter(self._outlines))]
+        while len(self.outlines) > MAX_OUTLINES:
+            del self.outlines[next(iter(self.outlines))]
         end = time.monotonic()
         self._next_update = end + max(MIN_PAUSE, PAUSE_FACTOR * (end - start))
         if has_changed:
@@ -116,7 +111,7 @@ class MaskOutline:
         gpu.state.blend_set("ALPHA")
         if masked is not None and 0 not in masked.size:
             _draw_image(masked)
-        found = self._outlines.get(image.session_uid)
+        found = self.outlines.get(image.session_uid)
         if found is not None and len(found.segments):
             if found.batch is None:
                 found.batch = build_lines(found.segments.reshape(-1, 2))

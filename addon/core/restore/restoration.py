@@ -10,7 +10,7 @@ from ..imaging.images import decode_normals
 from ..jobs.chunks import slices
 from ..jobs.progress import Progress, StageClock, Steps, subprogress
 from .frequency_split import LowBand, choose_kappa
-from .levels import RADIUS, Level, Page, build_levels
+from .levels import RADIUS, Page, build_levels
 from .settings import RestoreSettings
 from .texture import fill_texture
 from .windows import Window, choose_areas, find_windows, group_windows
@@ -132,7 +132,12 @@ def _restore_texture(
         with clock.stage("pyramid"):
             pages += _further_pages(pixels, mask, low_band, pages, options)
             levels = build_levels(pages, options.settings.pyramid_levels)
-            _check_sources(levels[0])
+            sources = int(levels[0].valid.sum())
+            if sources < MIN_SOURCES:
+                raise ImageError(
+                    f"Only {sources} pixels with unmasked neighborhoods of {MIN_SIDE} x {MIN_SIDE} pixels can be copied; at least "
+                    f"{MIN_SOURCES} are necessary. Mask less, extend the source mask, or use Diffusion Only."
+                )
         count = sum(int(window.hole.sum()) for window in group)
         with clock.stage("texture"):
             yield from subprogress(fill_texture(pages, levels, options.settings), done / total, (done + count) / total)
@@ -160,15 +165,6 @@ def _further_pages(pixels: np.ndarray, mask: np.ndarray, low_band: LowBand, page
         known = ~mask[area]
         further.append(Page(pixels[area] - structure, np.zeros_like(known), known, options.usable[area]))
     return further
-
-
-def _check_sources(level: Level) -> None:
-    sources = int(level.valid.sum())
-    if sources < MIN_SOURCES:
-        raise ImageError(
-            f"Only {sources} pixels with unmasked neighborhoods of {MIN_SIDE} x {MIN_SIDE} pixels can be copied; at least {MIN_SOURCES} "
-            "are necessary. Mask less, extend the source mask, or use Diffusion Only."
-        )
 
 
 def _check(image: np.ndarray, mask: np.ndarray, others: dict[str, np.ndarray | None]) -> None:

@@ -64,22 +64,19 @@ class MergeJob:
 
     def core_steps(self) -> Steps[CoreResult]:
         """Read the photographs, unwrap and merge."""
-        with Scratch() as scratch:
-            return (yield from self._merge(scratch))
-
-    def _merge(self, scratch: Scratch) -> Steps[CoreResult]:
-        photographs = yield from subprogress(read_photographs(self.sources, scratch), 0.0, READING_END)
         unwrapped, new_uvs, end = [], {}, READING_END
-        if self.unwrapping is not None:
-            results = yield from subprogress(self.unwrapping.core_steps(), READING_END, UNWRAPPING_END)
-            yield Progress(UNWRAPPING_END, "Packing")
-            unwrapped = _pack_together(self.unwrapping, results)
-            new_uvs = {instance.object_uid: result.corner_uvs for instance, result in zip(self.instances, unwrapped, strict=True)}
-            end = UNWRAPPING_END
-        surface = read_surface(self.instances, new_uvs)
-        layout = lay_out_pages(surface.corner_uvs, None if self.groups is None else self.groups.triangles)
-        steps = merge(surface.mesh, layout.corner_uvs, photographs, self.settings, scratch, pages=layout.pages)
-        return unwrapped, layout, (yield from subprogress(steps, end, 1.0))
+        with Scratch() as scratch:
+            photographs = yield from subprogress(read_photographs(self.sources, scratch), 0.0, READING_END)
+            if self.unwrapping is not None:
+                results = yield from subprogress(self.unwrapping.core_steps(), READING_END, UNWRAPPING_END)
+                yield Progress(UNWRAPPING_END, "Packing")
+                unwrapped = _pack_together(self.unwrapping, results)
+                new_uvs = {instance.object_uid: result.corner_uvs for instance, result in zip(self.instances, unwrapped, strict=True)}
+                end = UNWRAPPING_END
+            surface = read_surface(self.instances, new_uvs)
+            layout = lay_out_pages(surface.corner_uvs, None if self.groups is None else self.groups.triangles)
+            steps = merge(surface.mesh, layout.corner_uvs, photographs, self.settings, scratch, pages=layout.pages)
+            return unwrapped, layout, (yield from subprogress(steps, end, 1.0))
 
     def scene_steps(self, core_result: CoreResult) -> Steps[str]:
         """Write UV maps, images and materials.

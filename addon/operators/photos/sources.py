@@ -38,12 +38,8 @@ def disabled_reason(context: bpy.types.Context) -> str:
 
 
 def open_photographs(context: bpy.types.Context, cameras: list[bpy.types.Object] | None = None) -> list[PhotoSource]:
-    """Return the photographs of `cameras`, by default of all that `find_cameras` finds.
-
-    Raises:
-        SettingsError: there is none, or a camera cannot be used.
-        FileError, ImageError: a photograph cannot be used.
-    """
+    """Return the photographs of `cameras`, by default of all that `find_cameras` finds. Raises SettingsError if there is none, or a camera
+    cannot be used, and FileError or ImageError if a photograph cannot be used."""
     cameras = find_cameras(context) if cameras is None else cameras
     if not cameras:
         raise SettingsError(f"There is no camera with a photograph; {NO_CAMERAS.lower()}.")

@@ -136,12 +136,7 @@ def find_target(image: bpy.types.Image, masks: bpy.types.PropertyGroup | MaskSet
 
 def require_image(context: bpy.types.Context, name: str, masks: MaskSettings | None = None) -> bpy.types.Image:
     """Return the image with the given name, otherwise the one in the Image Editor, or with `masks` what is restored while it is shown. Its
-    pixels can be read.
-
-    Raises:
-        ImageError: there is no image, or it cannot be used.
-        FileError: its file cannot be read.
-    """
+    pixels can be read. Raises ImageError if there is no image, or it cannot be used, and FileError if its file cannot be read."""
     image = find_image(name, "Image") if name else edited_image(context)
     if image is None:
         raise ImageError("There is no image to restore; open one in an Image Editor, or give its name.")

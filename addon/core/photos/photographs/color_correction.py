@@ -65,19 +65,18 @@ def estimate_corrections(
     default. The mean logarithm of gains is 0, the mean gamma 1; photographs without overlap keep their colors."""
     if not (has_gamma or has_vignetting):
         return [ColorCorrection(lens, gain) for lens, gain in zip(lenses, estimate_gains(observed, len(lenses), weights), strict=True)]
-    distinct = list(dict.fromkeys(lenses))
-    system = _System(observed, lenses, [distinct.index(lens) for lens in lenses], weights, has_gamma, has_vignetting)
+    system = _System(observed, lenses, weights, has_gamma, has_vignetting)
     solution = system.solve()
     count, at = len(lenses), 3 * len(lenses)
-    gains, gammas, vignetting = solution[:at].reshape(count, 3), np.zeros(count), [()] * len(distinct)
+    gains, gammas, vignetting = solution[:at].reshape(count, 3), np.zeros(count), [()] * count
     if has_gamma:
         gammas, at = solution[at : at + count], at + count
     if has_vignetting:
         vignetting = [tuple(float(value) for value in row) for row in solution[at:].reshape(-1, DEGREE)]
     gains = np.exp(gains - gammas[:, None] * system.center)
     return [
-        ColorCorrection(lens, gain, 1.0 + float(gamma), vignetting[distinct.index(lens)])
-        for lens, gain, gamma in zip(lenses, gains, gammas, strict=True)
+        ColorCorrection(lens, gain, 1.0 + float(gamma), vignetting[index])
+        for lens, gain, gamma, index in zip(lenses, gains, gammas, system.lens_indices, strict=True)
     ]
 
 
@@ -88,14 +87,10 @@ class _System:
     """
 
     def __init__(
-        self,
-        observed: Observations,
-        lenses: list[Lens],
-        lens_indices: list[int],
-        weights: np.ndarray | None,
-        has_gamma: bool,
-        has_vignetting: bool,
+        self, observed: Observations, lenses: list[Lens], weights: np.ndarray | None, has_gamma: bool, has_vignetting: bool
     ) -> None:
+        distinct = list(dict.fromkeys(lenses))
+        self.lens_indices = [distinct.index(lens) for lens in lenses]
         chosen, given = choose_observations(observed, weights)
         points, photographs = observed.points[chosen], observed.photographs[chosen]
         linear = decode_signed_srgb(observed.colors[chosen])
@@ -117,11 +112,10 @@ class _System:
             for index, lens in enumerate(lenses):
                 own = photographs == index
                 powers[own] = radius_powers(lens, observed.positions[chosen][own], DEGREE)
-            first = width + DEGREE * np.array(lens_indices)[photographs]
+            first = width + DEGREE * np.array(self.lens_indices)[photographs]
             entries += [(rows, (first + power).repeat(3), powers[:, power].repeat(3)) for power in range(DEGREE)]
-            lens_count = max(lens_indices) + 1
-            blocks.append(np.full(DEGREE * lens_count, VIGNETTING_REGULARIZATION * 3.0 * scale / lens_count))
-            width += DEGREE * lens_count
+            blocks.append(np.full(DEGREE * len(distinct), VIGNETTING_REGULARIZATION * 3.0 * scale / len(distinct)))
+            width += DEGREE * len(distinct)
         row, column, value = (np.concatenate(part) for part in zip(*entries, strict=True))
         self._matrix = csr_matrix((value, (row, column)), shape=(len(rows), width))
         self._regularization = np.diag(np.concatenate(blocks))

@@ -72,7 +72,9 @@ class View:
         self._low, self._size = find_frame(camera)
         self._rotation, self._translation = camera.rotation.T.astype(np.float32), camera.translation.astype(np.float32)
         window = 2 * SILHOUETTE_PIXELS - 1  # whose nearest and farthest depths are interpolated over another pixel
-        inverse = self._draw(mesh)
+        projected = self.project_pinhole(mesh)
+        buffer = depth_buffer(projected.corners, -projected.inverse_depths, self._size)
+        inverse = np.where(np.isfinite(buffer), -buffer, 0.0).astype(np.float32)  # 0 where there is nothing
         self._nearest, self._farthest = (find(inverse, window, mode="nearest").ravel() for find in (maximum_filter, minimum_filter))
         self._quality = np.zeros(self._size[0] * self._size[1], np.float32)
         border = None if mask is None else distance_transform_edt(mask).astype(np.float32)
@@ -168,12 +170,6 @@ class View:
             upper += x * (np.take(values, corner + width + 1) - upper)
             result.append(lower + y * (upper - lower))
         return result
-
-    def _draw(self, mesh: TriangleMesh) -> np.ndarray:
-        """Return the inverse depths (h, w) float32 of the pinhole image, 0 where there is nothing."""
-        projected = self.project_pinhole(mesh)
-        buffer = depth_buffer(projected.corners, -projected.inverse_depths, self._size)
-        return np.where(np.isfinite(buffer), -buffer, 0.0).astype(np.float32)
 
     def _cells(self) -> Iterator[tuple[slice, np.ndarray]]:
         """Yield pixels of the depth buffer and the positions (N, 2) in the photograph of their centers, negative outside of the lens."""

@@ -54,7 +54,9 @@ class SurfaceWindows:
         """Prepare windows of `size` texels, with `margin` more on each side, of a surface."""
         self._map, self._size, self._margin = texel_map, size, margin
         self._seams = _Seams(texel_map, surface.mesh.triangles, surface.edges)
-        self._islands = find_islands(len(texel_map.corners), surface.edges, self._seams.is_seam)
+        first, second = (surface.edges.interior_halfedges[~self._seams.is_seam] // 3).T
+        links = coo_matrix((np.ones(len(first), bool), (first, second)), shape=(len(texel_map.corners),) * 2)
+        self._islands = csgraph.connected_components(links, directed=False)[1].astype(np.int32)
         self.count = int(self._islands.max(initial=-1)) + 1
 
     def __iter__(self) -> Iterator[SurfaceWindow]:
@@ -117,13 +119,6 @@ class SurfaceWindows:
         triangles = self._map.triangles[texels]
         kept = (triangles >= 0) & (self._islands[triangles] == self._islands[neighbors])
         return pixels[kept], triangles[kept], others[kept], texels[kept]
-
-
-def find_islands(triangle_count: int, edges: Edges, is_seam: np.ndarray) -> np.ndarray:
-    """Return the UV island (T,) of each triangle; is_seam: (I,) bool, which of the interior edges are seams."""
-    first, second = (edges.interior_halfedges[~is_seam] // 3).T
-    links = coo_matrix((np.ones(len(first), bool), (first, second)), shape=(triangle_count, triangle_count))
-    return csgraph.connected_components(links, directed=False)[1].astype(np.int32)
 
 
 class _SeamPoints:
