@@ -1,6 +1,7 @@
 """A small scene with a cloud that is baked by worker processes, and functions that find these processes."""
 
 import hashlib
+import shutil
 import signal
 import tempfile
 from functools import cache
@@ -11,8 +12,11 @@ import bpy
 
 from bridge import blender_scenes
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
+from farfield.addon.bridge.btf.capture.snapshot import open_snapshot, store_folder
+from farfield.addon.bridge.btf.capture.worker import capture_views
 from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.core.settings import flag_of
+from farfield.addon.operators.btf import estimates
 from farfield.addon.operators.btf.job import BakeJob, prepare_bake
 from lib import scene_files
 
@@ -54,14 +58,44 @@ def _small_cloud_file() -> Path:
     return path
 
 
-def build_cloud(source: bpy.types.Object) -> SceneCloud:
-    """Build a coarse cloud of `source` with two levels."""
+def build_cloud(source: bpy.types.Object, **settings: Any) -> SceneCloud:
+    """Build a coarse cloud of `source`, with two levels unless `settings` say otherwise."""
     for item in bpy.context.selected_objects:
         item.select_set(False)
     bpy.context.view_layer.objects.active = source
     source.select_set(True)
-    bpy.ops.farfield.billboards_build(error=10.0, levels=2, samples=1, keep_original_visible=True)
+    bpy.ops.farfield.billboards_build(**{"error": 10.0, "levels": 2, "samples": 1, "keep_original_visible": True, **settings})
     return clouds_in(bpy.context.scene)[0]
+
+
+@cache
+def finished_views_of_small_cloud(model: str = SMALL["model"]) -> Path:
+    """Return a work folder with all finished views of a bake of the small cloud, captured in this process. Each process does it once."""
+    folder = Path(tempfile.mkdtemp(prefix="farfield-small-bake-"))
+    settings = BtfSettings(**SMALL | {"model": model}, executor="serial")
+    job = prepare_bake(bpy.context, build_small_cloud(), settings, folder, keep_finished_views=True)
+    capture_views(open_snapshot(job.run.snapshot_folder, run_drivers=False), folder, list(range(settings.view_count)), threads=2)
+    job.run.close()
+    return folder
+
+
+def copy_finished_views(folder: Path, model: str = SMALL["model"]) -> Path:
+    """Copy the finished views of the small cloud to the work folder `folder`, so that a bake there renders nothing; return it.
+
+    Call it before the cloud is opened: the first call in a process opens other files.
+    """
+    return shutil.copytree(finished_views_of_small_cloud(model), folder, dirs_exist_ok=True)
+
+
+def bake_finished_views(cloud: SceneCloud, model: str = SMALL["model"]) -> None:
+    """Bake the small cloud with the operator. It renders nothing; `finished_views_of_small_cloud` must have been called before."""
+    settings = SMALL | {"model": model}
+    folder = estimates.capture_folder(cloud, BtfSettings(**settings, executor="serial"))
+    for index, level in enumerate(cloud.levels):
+        views = store_folder(finished_views_of_small_cloud(model), level["farfield_level"])
+        shutil.copytree(views, store_folder(folder, index), dirs_exist_ok=True)
+    bpy.context.view_layer.objects.active = cloud.levels[0]
+    assert bpy.ops.farfield.btf_bake(**settings, executor="serial") == {"FINISHED"}
 
 
 def prepare_job(cloud: SceneCloud, folder: Path | None, executor: str = "serial") -> BakeJob:

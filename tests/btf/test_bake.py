@@ -47,7 +47,7 @@ def build_ball_cloud() -> SceneCloud:
     ball = blender_scenes.ball(material=blender_scenes.create_material("Red", (0.8, 0.2, 0.1), 1.0))
     bpy.context.view_layer.objects.active = ball
     ball.select_set(True)
-    bpy.ops.farfield.billboards_build(error=4.0, levels=1, samples=4)
+    bpy.ops.farfield.billboards_build(error=5.0, levels=1, samples=4)
     return clouds_in(bpy.context.scene)[0]
 
 
@@ -94,7 +94,7 @@ def render_source_and_cloud(cloud, sun, direction) -> tuple[np.ndarray, np.ndarr
 
 
 def test_matches_the_source_under_a_rotated_sun(cloud):
-    assert bpy.ops.farfield.btf_bake(**{**BAKE, "views_per_side": 3}) == {"FINISHED"}
+    assert bpy.ops.farfield.btf_bake(**{**BAKE, "views_per_side": 3, "samples": 2, "shadows_per_side": 4}) == {"FINISHED"}
     sun = create_sun((0.3, -0.8, 0.5))
     link_suns(cloud.levels[0], [sun], (0.0, 0.0, 0.0))
     means = []
@@ -118,7 +118,7 @@ def test_a_wall_casts_sharp_shadows_between_the_baked_suns():
     ground.select_set(True)
     bpy.ops.farfield.billboards_build(error=3.0, levels=1, samples=1, combine_selected=True)
     (cloud,) = clouds_in(bpy.context.scene)
-    assert bpy.ops.farfield.btf_bake(**{**QUICK_BAKE, "shadows_per_side": 16, "upper_hemisphere": True}) == {"FINISHED"}
+    assert bpy.ops.farfield.btf_bake(**{**QUICK_BAKE, "shadows_per_side": 12, "upper_hemisphere": True}) == {"FINISHED"}
     texels, texture = read_level_texels(cloud.levels[0]), read_relightable_texture(cloud.levels[0])
     positions = texels.positions
     is_flat = np.abs(positions[:, 2]) < 1e-3
@@ -139,41 +139,31 @@ def test_a_wall_casts_sharp_shadows_between_the_baked_suns():
         assert visibility[~expected].mean() < 0.3 and visibility[expected].mean() > 0.95
 
 
-def test_emission_does_not_depend_on_the_lights(cloud):
+def test_a_quick_bake_of_an_emissive_ball(cloud):
+    """Emission does not depend on the lights, rays pass through all quads, no other data is left, and the PBR materials are restored."""
     shader = blender_scenes.shader_of(bpy.data.materials["Red"])
     shader.inputs["Emission Color"].default_value, shader.inputs["Emission Strength"].default_value = (0.2, 0.4, 1.0, 1.0), 0.5
+    level, scene = cloud.levels[0], bpy.context.scene
+    pbr_name = level.data.materials[0].name
+    scene.cycles.transparent_max_bounces = 1
+    counts = len(bpy.data.scenes), len(bpy.data.lights), len(bpy.data.worlds)
     assert bpy.ops.farfield.btf_bake(**{**QUICK_BAKE, "samples": 4, "shadows_per_side": 0}) == {"FINISHED"}
-    sun = create_sun((0.3, -0.8, 0.5))
+    assert (len(bpy.data.scenes), len(bpy.data.lights), len(bpy.data.worlds)) == counts
+    assert 2 < scene.cycles.transparent_max_bounces <= len(level.data.polygons) + 8
+    scene.cycles.transparent_max_bounces = 999
+    raise_transparent_bounces(cloud.collection, 3)
+    assert scene.cycles.transparent_max_bounces == 999
+    assert level[PBR_MATERIAL] == pbr_name and level.data.materials[0].name != pbr_name
+    sun = scene.farfield_btf.sun_1 = create_sun((0.3, -0.8, 0.5))
+    assert bpy.ops.farfield.btf_link_suns() == {"FINISHED"}
+    assert len(level.animation_data.drivers) == 6
     for energy in (0.0, 4.0):
         sun.data.energy = energy
-        link_suns(cloud.levels[0], [sun], (0.0, 0.0, 0.0))
         source, baked = render_source_and_cloud(cloud, sun, (0.5, -0.8, 0.3))
         inside = source[..., 3] > 0.99
         if energy == 0.0:
             np.testing.assert_allclose(baked[inside][:, :3].mean(axis=0), [0.1, 0.2, 0.5], rtol=0.05)
         assert baked[inside][:, :3].mean(axis=0) == pytest.approx(source[inside][:, :3].mean(axis=0), rel=0.2)
-
-
-def test_a_quick_bake(cloud):
-    """Rays pass through all quads, no other data is left behind, and the PBR materials are restored."""
-    level, scene = cloud.levels[0], bpy.context.scene
-    pbr_name = level.data.materials[0].name
-    scene.cycles.transparent_max_bounces = 1
-    counts = len(bpy.data.scenes), len(bpy.data.lights), len(bpy.data.worlds)
-    bpy.ops.farfield.btf_bake(**QUICK_BAKE)
-
-    assert (len(bpy.data.scenes), len(bpy.data.lights), len(bpy.data.worlds)) == counts
-
-    assert 2 < scene.cycles.transparent_max_bounces <= len(level.data.polygons) + 8
-    scene.cycles.transparent_max_bounces = 999
-    raise_transparent_bounces(cloud.collection, 3)
-    assert scene.cycles.transparent_max_bounces == 999
-
-    assert level[PBR_MATERIAL] == pbr_name and level.data.materials[0].name != pbr_name
-    sun = create_sun((0.0, 0.0, 1.0))
-    bpy.context.scene.farfield_btf.sun_1 = sun
-    assert bpy.ops.farfield.btf_link_suns() == {"FINISHED"}
-    assert len(level.animation_data.drivers) == 6
     assert bpy.ops.farfield.btf_restore_pbr() == {"FINISHED"}
     assert level.data.materials[0].name == pbr_name
     assert len(level.animation_data.drivers) == 0

@@ -12,11 +12,20 @@ import bpy
 import mathutils
 
 from bridge import blender_scenes
-from bridge.bakes import SMALL, build_small_cloud, open_cloud, prepare_job
+from bridge.bakes import (
+    SMALL,
+    bake_finished_views,
+    build_small_cloud,
+    copy_finished_views,
+    finished_views_of_small_cloud,
+    open_cloud,
+    prepare_job,
+)
 from farfield.addon.bridge.billboards import clouds
 from farfield.addon.bridge.billboards.cloud_materials import FRONT_COLOR
 from farfield.addon.bridge.billboards.level_objects import CENTER, PBR_MATERIAL, pbr_image, pbr_material
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
+from farfield.addon.bridge.btf.capture import light_calibration
 from farfield.addon.bridge.btf.levels.emission_levels import link_suns
 from farfield.addon.bridge.btf.materials.emission_material import AMBIENT, sun_color_property, sun_direction_property
 from farfield.addon.core.errors import GeometryError
@@ -44,16 +53,23 @@ def cloud(cloud_file) -> SceneCloud:
 
 
 @pytest.fixture(scope="module")
-def baked(cloud_file, tmp_path_factory) -> list:
-    """What the work in the core has computed for the cloud."""
-    return run_to_end(prepare_job(open_cloud(cloud_file), tmp_path_factory.mktemp("work")).core_steps())
+def finished_views(extension) -> None:
+    """All views that these tests bake; capturing them opens other files."""
+    for model in ("emission", "surface"):
+        finished_views_of_small_cloud(model)
 
 
 @pytest.fixture(scope="module")
-def baked_file(cloud_file, tmp_path_factory) -> Path:
+def baked(cloud_file, tmp_path_factory) -> list:
+    """What the work in the core has computed for the cloud."""
+    work = copy_finished_views(tmp_path_factory.mktemp("work"))
+    return run_to_end(prepare_job(open_cloud(cloud_file), work).core_steps())
+
+
+@pytest.fixture(scope="module")
+def baked_file(baked, cloud_file, tmp_path_factory) -> Path:
     """A file with the cloud, baked by the operator with its first level active."""
-    bpy.context.view_layer.objects.active = open_cloud(cloud_file).levels[0]
-    bpy.ops.farfield.btf_bake(**BAKE)
+    bake_finished_views(open_cloud(cloud_file))
     path = tmp_path_factory.mktemp("baked") / "baked.blend"
     scene_files.save_scene(path)
     return path
@@ -200,43 +216,41 @@ class TestLinkedDuplicates:
     """A level and its linked duplicate share the mesh, and thus the material."""
 
     @pytest.fixture
-    def duplicate(self, cloud) -> bpy.types.Object:
+    def duplicate(self, finished_views, cloud) -> bpy.types.Object:
         """A linked duplicate of the first level, in the collection of the cloud."""
         duplicate = cloud.levels[0].copy()
         cloud.collection.objects.link(duplicate)
         assert len(clouds_in(bpy.context.scene)[0].levels) == 3
         return duplicate
 
-    @pytest.mark.parametrize("model", ["surface", "emission"])
-    def test_both_are_baked_and_restored(self, cloud, duplicate, model):
+    @pytest.mark.parametrize("models", [("emission", "surface"), pytest.param(("surface", "emission"), marks=pytest.mark.exhaustive)])
+    def test_both_are_baked_again_and_restored(self, cloud, duplicate, models, monkeypatch):
+        for name in ("PAIR_COUNT", "SOURCE_SAMPLES", "SAMPLES"):
+            monkeypatch.setattr(light_calibration, name, 1)
         level = cloud.levels[0]
         pbr_name = level.data.materials[0].name
-        bpy.context.view_layer.objects.active = level
-        assert bpy.ops.farfield.btf_bake(**{**BAKE, "model": model}) == {"FINISHED"}
-        assert level[PBR_MATERIAL] == duplicate[PBR_MATERIAL] == pbr_name
-        assert level.data.materials[0].name != pbr_name and not level.data.materials[0].name.endswith("BTF BTF")
-        assert bpy.ops.farfield.btf_bake(**{**BAKE, "model": model}) == {"FINISHED"}
-        assert level[PBR_MATERIAL] == duplicate[PBR_MATERIAL] == pbr_name
+        for model in models:
+            bake_finished_views(cloud, model)
+            assert level[PBR_MATERIAL] == duplicate[PBR_MATERIAL] == pbr_name
+            assert level.data.materials[0].name != pbr_name and not level.data.materials[0].name.endswith("BTF BTF")
+            assert (AMBIENT in level) == (model == "emission")
         assert bpy.ops.farfield.btf_restore_pbr() == {"FINISHED"}
         assert level.data.materials[0].name == pbr_name
         assert all(PBR_MATERIAL not in item and AMBIENT not in item for item in (*cloud.levels, duplicate))
 
-    def test_a_duplicate_outside_of_the_cloud_is_restored_too(self, cloud):
+    def test_a_duplicate_outside_of_the_cloud_is_restored_too(self, finished_views, cloud):
         level, duplicate = cloud.levels[0], cloud.levels[0].copy()
         bpy.context.scene.collection.objects.link(duplicate)
         pbr_name = level.data.materials[0].name
-        bpy.context.view_layer.objects.active = level
-        bpy.ops.farfield.btf_bake(**BAKE)
+        bake_finished_views(cloud)
         assert duplicate[PBR_MATERIAL] == pbr_name
         bpy.ops.farfield.btf_restore_pbr()
         assert PBR_MATERIAL not in duplicate and duplicate.data.materials[0].name == pbr_name
 
 
-def test_the_model_emission_needs_no_color_map(cloud):
-    level = cloud.levels[0]
-    bpy.data.images.remove(pbr_image(level, FRONT_COLOR))
-    bpy.context.view_layer.objects.active = level
-    assert bpy.ops.farfield.btf_bake(**BAKE) == {"FINISHED"}
+def test_the_model_emission_needs_no_color_map(baked, cloud):
+    bpy.data.images.remove(pbr_image(cloud.levels[0], FRONT_COLOR))
+    bake_finished_views(cloud)
 
 
 def test_suns_are_linked_where_their_properties_were_deleted(baked_file):

@@ -1,5 +1,6 @@
 """Exported files contain what the textures show, and appear completely or not at all."""
 
+import inspect
 import json
 import signal
 from functools import partial
@@ -13,7 +14,7 @@ pytest.importorskip("bpy")
 import bpy
 
 from bridge import blender_scenes
-from bridge.bakes import open_cloud
+from bridge.bakes import build_cloud, open_cloud
 from farfield.addon.bridge.billboards.cloud_materials import FRONT_COLOR, FRONT_NORMAL
 from farfield.addon.bridge.billboards.level_objects import PBR_MATERIAL, read_level_texels
 from farfield.addon.bridge.billboards.scene_clouds import clouds_in
@@ -35,6 +36,7 @@ from fmf_reader import read_fmf
 from random_textures import decode_radiance, random_color_factors
 
 SETTINGS = BtfSettings(views_per_side=4, lights_per_side=3)
+FEW_DIRECTIONS = BtfSettings(views_per_side=2, lights_per_side=2)
 BAKED = ExportSettings(directions="baked")
 
 
@@ -65,13 +67,14 @@ def cloud(cloud_file):
     return open_cloud(cloud_file)
 
 
-def assign_random_textures(level) -> None:
+def assign_random_textures(level, settings: BtfSettings = SETTINGS) -> None:
     texels = read_level_texels(level)
     random = np.random.default_rng(0)
-    color = random_color_factors(len(texels), views=16, lights=9)
-    alpha = Factors(random.random((len(texels), 2), np.float32), random.normal(size=(16, 2, 1)).astype(np.float32), color.known)
+    color = random_color_factors(len(texels), views=settings.view_count, lights=settings.light_count)
+    view_basis = random.normal(size=(settings.view_count, 2, 1)).astype(np.float32)
+    alpha = Factors(random.random((len(texels), 2), np.float32), view_basis, color.known)
     chromaticity = random.uniform(0.5, 1.5, (len(texels), 3)).astype(np.float32)
-    assign_relightable_material(level, texels, CompressedTextures(None, chromaticity, color, alpha), SETTINGS)
+    assign_relightable_material(level, texels, CompressedTextures(None, chromaticity, color, alpha), settings)
 
 
 def export(cloud, target: Path, settings: ExportSettings = BAKED) -> Path:
@@ -254,17 +257,18 @@ def test_moved_quads_are_exported(cloud, tmp_path):
 
 
 def test_an_octahedral_atlas_is_captured_from_the_source(cloud, tmp_path, monkeypatch):
-    capture_small = partial(export_job.write_octahedral_atlas, frame_resolution=32, samples=8)  # 144 frames per map in a few seconds
+    assert inspect.signature(export_job.write_octahedral_atlas).parameters["frames_per_side"].default == 12
+    capture_small = partial(export_job.write_octahedral_atlas, frames_per_side=5, frame_resolution=32, samples=8)
     monkeypatch.setattr(export_job, "write_octahedral_atlas", capture_small)
     before = blender_scenes.count_data()
     folder = export(cloud, tmp_path / "Bällchen.octahedral")
     assert blender_scenes.count_data() == before
     metadata = json.loads((folder / "octahedral_atlas.json").read_text(encoding="utf-8"))
-    assert (metadata["frames_per_side"], metadata["map"], len(metadata["frames"])) == (12, "octahedral", 144)
+    assert (metadata["frames_per_side"], metadata["map"], len(metadata["frames"])) == (5, "octahedral", 25)
     alpha = read_image(folder / metadata["maps"]["color"]["file"])[..., 3]
-    assert alpha.shape == (12 * 32, 12 * 32)
+    assert alpha.shape == (5 * 32, 5 * 32)
     # A ball of radius 1 covers the same fraction of each frame.
-    coverage = alpha.reshape(12, 32, 12, 32).mean(axis=(1, 3))
+    coverage = alpha.reshape(5, 32, 5, 32).mean(axis=(1, 3))
     np.testing.assert_allclose(coverage, np.pi * (1.0 / metadata["half_side"]) ** 2 / 4.0, rtol=0.02)
 
 
@@ -275,13 +279,10 @@ def test_an_octahedral_atlas_needs_the_source(cloud, tmp_path):
 
 
 def test_each_level_is_written_to_its_own_file(tmp_path):
-    ball = blender_scenes.ball()
-    bpy.context.view_layer.objects.active = ball
-    bpy.ops.farfield.billboards_build(error=8.0, levels=2, samples=1)
-    cloud = clouds_in(bpy.context.scene)[0]
+    cloud = build_cloud(blender_scenes.ball(), textures=False)
     for level in cloud.levels:
-        assign_random_textures(level)
-    export(cloud, tmp_path / "ball.btf", ExportSettings())
+        assign_random_textures(level, FEW_DIRECTIONS)
+    export(cloud, tmp_path / "ball.btf")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["ball_Ball_Cloud_L0.btf", "ball_Ball_Cloud_L1.btf"]
     export(cloud, tmp_path / "ball.glb")
     assert (tmp_path / "ball.glb").stat().st_size > 1000
@@ -296,15 +297,13 @@ def test_a_removed_relightable_material_can_be_restored_as_pbr(cloud, change):
 
 
 def test_names_of_levels_do_not_choose_folders(tmp_path):
-    bpy.context.view_layer.objects.active = blender_scenes.ball()
-    bpy.ops.farfield.billboards_build(error=8.0, levels=2, samples=1)
-    cloud = clouds_in(bpy.context.scene)[0]
+    cloud = build_cloud(blender_scenes.ball(), textures=False)
     for level, name in zip(cloud.levels, ("../../escaped", f"{tmp_path}/absolute"), strict=True):
         level.name = name
-        assign_random_textures(level)
+        assign_random_textures(level, FEW_DIRECTIONS)
     folder = tmp_path / "jail" / "exports"
-    export(cloud, folder / "ball.btf", ExportSettings())
-    export(cloud, folder / "images", BAKED)
+    export(cloud, folder / "ball.btf")
+    export(cloud, folder / "images")
     assert sorted(path.suffix for path in folder.iterdir()) == ["", ".btf", ".btf"] and len(list((folder / "images").iterdir())) == 2
     assert [path.name for path in tmp_path.iterdir()] == ["jail"] and [path.name for path in folder.parent.iterdir()] == ["exports"]
 

@@ -225,8 +225,10 @@ def test_one_set_of_components_matches_the_arrays():
     assert np.abs(rendered - expected).mean() < 0.04 * expected.mean()
 
 
-@pytest.mark.parametrize("roughness", [0.15, 0.5])
-@pytest.mark.parametrize("is_rotated", [False, True], ids=["as baked", "rotated"])
+@pytest.mark.parametrize(
+    ("roughness", "is_rotated"),
+    [(0.15, False), (0.5, True), *(pytest.param(*case, marks=pytest.mark.exhaustive) for case in ((0.15, True), (0.5, False)))],
+)
 def test_lobes_match_the_arrays(roughness, is_rotated):
     """The card is seen from the front, from the back, where the normal is flipped, and on a rotated object."""
     card = create_relightable_card(3, 5, lobes=uniform_lobes(roughness))
@@ -347,7 +349,7 @@ def test_shadows_have_the_silhouette_seen_from_the_light(visible_from):
     bpy.context.scene.collection.objects.link(sun)
     card[sun_direction_property(0)] = list(SUN)  # without a color, so the card stays black
     direction = np.array([-0.2, 0.6, 0.77]) / np.linalg.norm([-0.2, 0.6, 0.77])
-    image, view = render(card, direction, 16, [ground, sun])
+    image, view = render(card, direction, 4, [ground, sun])
     shaded, open_ground = np.array([0.5, 0.9, 0.0]), np.array([1.3, 0.3, 0.0])
     shade, light = image[view.pixel_of(np.stack([shaded, open_ground]))][:, :3].mean(axis=1)
     assert light > 0.1

@@ -44,21 +44,19 @@ def main(*arguments) -> None:
     btf.main([str(argument) for argument in arguments], command_line.ProgressLine())
 
 
-def test_exports_are_written_with_the_result(cloud_file):
-    folder = cloud_file.parent
-    exports = [argument for name in ("cloud.glb", "cloud.btf", "images") for argument in ("--export", folder / name)]
-    main(cloud_file, "--out", folder / "out.blend", *QUICK, "--directions", "baked", *exports, "--report", folder / "r.json")
-    assert {path.name for path in folder.iterdir()} == {"in.blend", "out.blend", "cloud.glb", "cloud.btf", "images", "r.json"}
-    assert len(list((folder / "images").glob("tv*/*.exr"))) == 16
-    assert len(read_fmf(folder / "cloud.btf").views) == 4
-    assert json.loads((folder / "r.json").read_text(encoding="utf-8"))["seconds"]["export"] > 0.0
-
-
-def test_local_pca(cloud_file):
+def test_local_pca_with_exports(cloud_file):
     folder = cloud_file.parent
     local = ("--codec", "lpca", "--clusters", "3", "--cluster-components", "2", "--no-blend-texels")
-    main(cloud_file, "--out", folder / "out.blend", *QUICK, *local, "--report", folder / "r.json", "--curve", folder / "Kurve ü.png")
+    exports = [argument for name in ("cloud.glb", "cloud.btf", "images") for argument in ("--export", folder / name)]
+    outputs = ("--report", folder / "r.json", "--curve", folder / "Kurve ü.png", "--directions", "baked", *exports)
+    main(cloud_file, "--out", folder / "out.blend", *QUICK, *local, *outputs)
+    assert {path.name for path in folder.iterdir()} == {
+        *("in.blend", "out.blend", "cloud.glb", "cloud.btf", "images", "r.json", "Kurve ü.png"),
+    }
+    assert len(list((folder / "images").glob("tv*/*.exr"))) == 16
+    assert len(read_fmf(folder / "cloud.btf").views) == 4
     report = json.loads((folder / "r.json").read_text(encoding="utf-8"))
+    assert report["seconds"]["export"] > 0.0
     scene_files.open_scene(folder / "out.blend")
     (level,) = clouds_in(bpy.context.scene)[0].levels
     texture = read_relightable_texture(level)

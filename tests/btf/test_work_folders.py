@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import shutil
 import stat
 from pathlib import Path
 
@@ -14,7 +15,7 @@ import bpy
 
 import btf
 from bridge import blender_scenes
-from bridge.bakes import SMALL, build_small_cloud, finished_views, prepare_job
+from bridge.bakes import SMALL, build_small_cloud, copy_finished_views, finished_views, finished_views_of_small_cloud, prepare_job
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
 from farfield.addon.bridge.btf.capture.snapshot import METADATA_FILE, may_run_python_drivers, open_snapshot
 from farfield.addon.core.btf.settings import BtfSettings
@@ -23,6 +24,7 @@ from farfield.addon.core.files import user_folders
 from farfield.addon.core.jobs.dispatch import Shard
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.operators.btf import estimates
+from farfield.addon.operators.btf import job as job_module
 
 posix_only = pytest.mark.skipif(os.name == "nt", reason="Windows has access control lists instead of owners and modes")
 
@@ -57,7 +59,9 @@ def test_only_the_user_may_read_the_work_folder(cloud, tmp_path):
 
 
 @posix_only
-def test_the_operator_uses_a_private_folder_of_the_user(cloud, monkeypatch):
+def test_the_operator_uses_a_private_folder_of_the_user(monkeypatch):
+    views = finished_views_of_small_cloud()
+    cloud = build_small_cloud()
     folder = estimates.capture_folder(cloud, BtfSettings(**SMALL, executor="serial"))
     assert folder == estimates.user_cache_folder() / "btf" / folder.name
     prepared = []
@@ -67,7 +71,14 @@ def test_the_operator_uses_a_private_folder_of_the_user(cloud, monkeypatch):
         original(path, *arguments, **keywords)
         prepared.append((Path(path), mode(Path(path))))
 
+    def provide_views(_held, stores, *_arguments):
+        for store in stores:
+            shutil.copytree(views / store.folder.name, store.folder, dirs_exist_ok=True)
+        yield from ()
+        return 0
+
     monkeypatch.setattr(os, "mkdir", record)
+    monkeypatch.setattr(job_module, "render_missing_views", provide_views)
     bake()
     modes = dict(prepared)
     assert modes[folder] == modes[folder.parent] == 0o700
@@ -212,10 +223,11 @@ def test_a_user_without_home_gets_a_sentence(cloud, monkeypatch):
         bake()
 
 
-def test_damaged_finished_views_are_captured_again(cloud, tmp_path):
+def test_damaged_finished_views_are_captured_again(tmp_path):
     """Also those with the right checksum, which anyone can compute."""
-    job = prepare_job(cloud, tmp_path)
-    run_to_end(job._capture())
+    copy_finished_views(tmp_path)
+    job = prepare_job(build_small_cloud(), tmp_path)
+    assert run_to_end(job._capture()) == 0
     path = job.levels[0].store.path(1)
     undamaged = path.read_bytes()
     content = b"no archive"
