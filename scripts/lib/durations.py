@@ -121,7 +121,7 @@ def to_page(run: Measurement) -> str:
     machine = f"{run.processes} processes on {os.cpu_count()} cores, {platform.system()}, Python {platform.python_version()}"
     lines = [
         "# Results: Tests",
-        f"`python3 scripts/test.py --record` on {date.today()}: {machine}. How to run them: [Contributing](../../CONTRIBUTING.md).",
+        f"`python3 scripts/test.py --record` on {date.today()}: {machine}. CONTRIBUTING.md says how to run them.",
         "",
         "| | |",
         "|---|---|",

@@ -19,7 +19,7 @@ sys.path.insert(0, sys.argv[1])
 from lib import environment
 farfield = environment.import_farfield()
 import bpy, numpy as np
-from farfield.addon.bridge.unwrap.stretch_images import save_stretch_image
+from farfield.addon.bridge.unwrap.stretch_display import save_stretch_image
 from farfield.addon.core.errors import FarfieldError
 from lib import command_line, scene_files
 from lib.atomic_output import atomic_file
