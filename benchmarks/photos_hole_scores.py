@@ -20,8 +20,8 @@ from lib.contact_sheet import write_png
 from lib.flip_metric import mean_flip
 
 CROP = 16  # texels around a hole that are compared, too
-VARIATION = 0.3  # of the area of a hole
-ROWS, WINDOW = 6, 160  # of the pictures
+VARIATION = 0.3  # Random part of the area of a hole.
+ROWS, WINDOW = 6, 160  # Rows of the pictures and pixels of their side.
 
 
 def punch_holes(unwrapped: Unwrapped, seen: np.ndarray, fraction: float, count: int, random: np.random.Generator) -> np.ndarray:

@@ -18,10 +18,10 @@ SIZE = (1200, 900)
 FOCAL = 2600.0
 DISTANCE = 2.3  # from the center of the bounding box, in its diagonals
 SUPERSAMPLING = 2
-SHORTEST_WAVE, LONGEST_WAVE = 0.008, 0.6  # of the diagonal; the shortest are about 9 pixels
+SHORTEST_WAVE, LONGEST_WAVE = 0.008, 0.6  # Fractions of the diagonal; the shortest are about 9 pixels.
 WAVES = 64
 MAX_EXPOSURE = 0.5  # in stops
-SENSOR_NOISE = 0.004  # of encoded colors
+SENSOR_NOISE = 0.004  # Standard deviation in encoded colors.
 
 
 @dataclass(frozen=True)

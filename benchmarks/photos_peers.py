@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 FLIP = np.diag([1.0, -1.0, -1.0])  # from cameras along +z with y down to cameras along -z with y up
-NEAR, FAR = 0.01, 100.0  # of the distance from the camera to the mesh
+NEAR, FAR = 0.01, 100.0  # Relative to the distance from the camera to the mesh.
 
 Input = Mapping[str, np.ndarray]
 

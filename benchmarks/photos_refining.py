@@ -20,8 +20,8 @@ from farfield.addon.core.photos.registration.registration import register
 from farfield.addon.core.photos.settings import PhotosSettings
 
 MODELS = {"rock": make_rock, "knot": make_knot}
-SHOOTS = 3  # of each model
-CAMERAS = 4  # of each shoot that are registered and refined, one at a time
+SHOOTS = 3  # Shoots per model.
+CAMERAS = 4  # Cameras per shoot that are registered and refined, one at a time.
 PAIRS, NOISE = 6, 1.0  # pixels, standard deviation per coordinate
 OTHERS_NOISE = 0.3  # pixels, mean error of the other cameras
 POSE_NOISES = (0.0, 0.3, 2.0, 4.0)  # pixels, mean errors of all cameras that are not refined

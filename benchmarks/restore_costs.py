@@ -21,7 +21,7 @@ LARGE_BOUNDS = {"seconds": 60.0, "peak_memory_above_imports_mb": 1000.0}
 LARGE_PEERS = ("telea", "navier-stokes", "biharmonic", "patchmatch")  # the others would take most of an hour or all memory
 GROWTH_METHODS = ("farfield", "telea")
 REPEATS = 3
-HOLE_PIXELS = 1700  # of each hole, on average, where their number grows
+HOLE_PIXELS = 1700  # Mean size of a hole where the number of holes grows.
 
 
 def measure_times(given: Namespace, methods: Methods) -> Iterator[dict[str, Any]]:

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from restore_methods import DIFFUSION_PEERS, PATCH_PEERS, PEERS
 
-MIN_LOWEST_FRACTION, MAX_RATIO = 0.8, 1.1  # of the patch distance
+MIN_LOWEST_FRACTION, MAX_RATIO = 0.8, 1.1  # Limits of the patch distance.
 BOUNDARY_BOUNDS = (0.9, 1.1)
 MAX_LOW_BAND_LOSS = 0.3  # dB
-FAILED_RATIO = 1000.0  # of a method that failed
+FAILED_RATIO = 1000.0  # Stands for a method that failed.
 
 Cases = dict[str, dict[str, dict[str, Any]]]
 

@@ -26,7 +26,7 @@ class Crop(NamedTuple):
     size: tuple[int, int] = (SIZE, SIZE)
 
 
-PHOTOGRAPHS = {  # of scikit-image, 512 x 512 and gray, and of the Sceaux castle
+PHOTOGRAPHS = {  # From scikit-image, 512 x 512 and gray, and from the Sceaux castle.
     "brick": Crop("skimage:brick.png", (56, 56)),
     "grass": Crop("skimage:grass.png", (56, 56)),
     "gravel": Crop("skimage:gravel.png", (56, 56)),

@@ -15,11 +15,11 @@ from ...geometry.proximity import encode_pairs
 from ...jobs.chunks import map_chunks
 from ...jobs.progress import Progress, Steps, subprogress
 
-MAX_VALENCE = 10  # triangles around a vertex that is removed
-MIN_QUALITY = 0.05  # of triangles after a collapse; 1 is equilateral
-MIN_NORMAL_COSINE = 0.2  # between the normals of a triangle before and after a collapse
-CANDIDATE_FRACTION, MIN_CANDIDATES = 0.7, 64  # of all collapses, the cheapest ones: tested per batch
-MAX_JITTER = 3.0  # random factor of the squared length
+MAX_VALENCE = 10  # Vertices with more triangles around them are not removed.
+MIN_QUALITY = 0.05  # Triangles are no thinner after a collapse; 1 is equilateral.
+MIN_NORMAL_COSINE = 0.2  # Cosine between the normals of a triangle before and after a collapse.
+CANDIDATE_FRACTION, MIN_CANDIDATES = 0.7, 64  # The cheapest of all collapses, which a batch tests.
+MAX_JITTER = 3.0  # Largest random factor of the squared length.
 SELECTION_PASSES = 3
 CHUNK_SIZE = 1 << 14  # collapses
 
