@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from farfield.addon.core.bdam.files.backups import backup_path
 from farfield.addon.core.bdam.files.blocks import HEADER_SIZE, BlockReader
-from farfield.addon.core.bdam.ground.heights import height_at
+from farfield.addon.core.bdam.ground.heights import HeightQuery
 from farfield.addon.core.bdam.ground.surfaces import StoreSurface
 from farfield.addon.core.bdam.settings import ViewSettings
 from farfield.addon.core.bdam.store.patch_links import NO_PATCH, find_limits
@@ -211,7 +211,7 @@ def test_the_ground_over_damaged_leaves_is_that_of_the_coarser_patches_that_repl
     with TerrainStore(folder) as store:
         points = np.stack(store.frame.to_local(*random.integers(0, SIZE, (2, 400))), axis=1)  # at samples, where errors are measured
         numbers = random.choice(np.arange(*store.links.starts[-2:]), count, replace=False)
-        intact_heights, _ = height_at(store, points)
+        intact_heights, _ = HeightQuery(store).find(points)
     with damaged_patches(folder, numbers), TerrainStore(folder) as store:
         labels = set(store.verify())
         surface = StoreSurface(store, 2.0)
@@ -220,7 +220,7 @@ def test_the_ground_over_damaged_leaves_is_that_of_the_coarser_patches_that_repl
         assert len(surface.damages) == store.damage_count
         assert all(any(f"{label} " in sentence for label in labels) for sentence in surface.damages)
         cut = extract_uniform_cut(store, 0.0)
-        assert np.allclose(heights, 2.0 * height_at(store, points, cut)[0])
+        assert np.allclose(heights, 2.0 * HeightQuery(store, cut).find(points)[0])
         allowed = cut.max_error + 1e-5 * np.abs(intact_heights).max()
         assert (np.abs(heights / 2.0 - intact_heights) <= allowed).all()
         again, _ = surface.find(points)

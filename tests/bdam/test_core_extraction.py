@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from farfield.addon.core.bdam.ground.heights import height_at
+from farfield.addon.core.bdam.ground.heights import HeightQuery
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
 from farfield.addon.core.bdam.view.caches import PatchCache
 from farfield.addon.core.bdam.view.cut_meshes import CutMesh
@@ -102,7 +102,7 @@ def test_no_visible_sample_moves_farther_than_the_tolerance(store, heights, kind
         tolerance, exaggeration = 10.0 ** random.uniform(-0.3, 1.0), 10.0 ** random.uniform(-0.3, 0.3)
         viewer = random_viewer(random, store, kind)
         cut = extract_cut(store, viewer, CutSettings(tolerance, exaggeration, culls))
-        shown, _ = height_at(store, local, cut)
+        shown, _ = HeightQuery(store, cut).find(local)
         before, depths = viewer.project(np.column_stack([local, exaggeration * heights.ravel()]))
         after, after_depths = viewer.project(np.column_stack([local, exaggeration * shown]))
         is_visible = (depths > 0.1) & (after_depths > 0.1) & (before >= 0.0).all(axis=1) & (before <= viewer.projection.size).all(axis=1)

@@ -7,13 +7,12 @@ from hypothesis import strategies as st
 
 from farfield.addon.core.bdam.building.terrain_build import build_terrain
 from farfield.addon.core.bdam.fields.placements import GeographicFrame
-from farfield.addon.core.bdam.ground.heights import HeightQuery, height_at
+from farfield.addon.core.bdam.ground.heights import HeightQuery
 from farfield.addon.core.bdam.ground.triangle_search import TriangleSearch
 from farfield.addon.core.bdam.settings import BdamSettings
 from farfield.addon.core.bdam.store.terrain_store import GEOMETRY_FILE, TerrainStore
 from farfield.addon.core.bdam.view.cut_meshes import CutMesh
 from farfield.addon.core.bdam.view.extraction import extract_uniform_cut
-from farfield.addon.core.errors import FileError
 from farfield.addon.core.jobs.progress import run_to_end
 from small_terrain_stores import ArrayField, build_cut_mesh, build_store, hills
 
@@ -97,7 +96,7 @@ def random_points(store: TerrainStore, seed: int, count: int) -> np.ndarray:
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(0, 60))
 def test_heights_are_interpolated_in_the_triangles_of_the_samples(stores, name, seed, count):
     points = random_points(stores[name], seed, count)
-    heights, normals = height_at(stores[name], points)
+    heights, normals = HeightQuery(stores[name]).find(points)
     expected, expected_normals = interpolate(stores[name], stored(hills(ROWS, COLUMNS)), points) if count else (heights, normals)
     assert np.allclose(heights, expected, rtol=0.0, atol=1e-7) and np.allclose(normals, expected_normals, rtol=0.0, atol=1e-9)
 
@@ -106,7 +105,7 @@ def test_heights_are_interpolated_in_the_triangles_of_the_samples(stores, name, 
 def test_heights_at_samples_are_the_samples(stores, name):
     y, x = np.mgrid[0:ROWS, 0:COLUMNS]
     points = np.stack(stores[name].frame.to_local(x.ravel(), y.ravel()), axis=1)
-    heights = height_at(stores[name], points)[0].reshape(ROWS, COLUMNS)
+    heights = HeightQuery(stores[name]).find(points)[0].reshape(ROWS, COLUMNS)
     known = np.ones((ROWS, COLUMNS), bool)
     if name == "hole":
         known[HOLE] = False
@@ -122,20 +121,20 @@ def test_heights_are_unknown_outside(stores, name):
     is_inside = (x >= 0.0) & (x <= COLUMNS - 1.0) & (y >= 0.0) & (y <= ROWS - 1.0)
     frame = stores[name].frame
     x, y = (x, y) if name == "whole" else (np.clip(x, -100.0, 1000.0), np.clip(y, -100.0, 1000.0))
-    heights, normals = height_at(stores[name], np.stack(frame.to_local(x.ravel(), y.ravel()), axis=1))
+    heights, normals = HeightQuery(stores[name]).find(np.stack(frame.to_local(x.ravel(), y.ravel()), axis=1))
     assert np.array_equal(np.isfinite(heights), is_inside.ravel()) and np.array_equal(np.isfinite(normals).all(axis=1), is_inside.ravel())
 
 
 def test_points_that_are_not_finite_have_no_height(stores):
-    heights, normals = height_at(stores["whole"], np.array([[np.nan, 0.0], [0.0, np.inf], [-np.inf, np.nan], [0.0, 0.0]]))
+    heights, normals = HeightQuery(stores["whole"]).find(np.array([[np.nan, 0.0], [0.0, np.inf], [-np.inf, np.nan], [0.0, 0.0]]))
     assert np.isfinite(heights).tolist() == [False, False, False, True] and np.isnan(normals[:3]).all()
-    assert height_at(stores["whole"], np.zeros((0, 2)))[0].shape == (0,)
+    assert HeightQuery(stores["whole"]).find(np.zeros((0, 2)))[0].shape == (0,)
 
 
 def test_triangles_without_a_known_sample_are_holes(stores):
     store = stores["hole"]
     points = random_points(store, 7, 4000)
-    heights = height_at(store, points)[0]
+    heights = HeightQuery(store).find(points)[0]
     known = np.ones((ROWS, COLUMNS), bool)
     known[HOLE] = False
     corners = corners_at(*store.frame.to_grid(*points.T))
@@ -152,7 +151,7 @@ def test_heights_of_a_cut_are_those_of_its_mesh(stores, name, max_error):
     cut = extract_uniform_cut(store, max_error)
     mesh = build_cut_mesh(store, cut)
     points = random_points(store, 3, 200)
-    heights, normals = height_at(store, points, cut)
+    heights, normals = HeightQuery(store, cut).find(points)
     corners = mesh.positions[mesh.triangles]
     for point, height, normal in zip(points, heights, normals, strict=True):
         edges = np.roll(corners[..., :2], -1, axis=1) - corners[..., :2]
@@ -173,7 +172,7 @@ def test_a_cut_is_within_its_error_of_the_samples(stores, max_error):
     store = stores["whole"]
     y, x = np.mgrid[0:ROWS, 0:COLUMNS]
     points = np.stack(store.frame.to_local(x.ravel(), y.ravel()), axis=1)
-    heights = height_at(store, points, extract_uniform_cut(store, max_error))[0].reshape(ROWS, COLUMNS)
+    heights = HeightQuery(store, extract_uniform_cut(store, max_error)).find(points)[0].reshape(ROWS, COLUMNS)
     assert np.abs(heights - stored(hills(ROWS, COLUMNS))).max() <= max_error + 1e-6
 
 
@@ -215,10 +214,10 @@ def test_a_cut_is_within_its_error_where_the_finest_one_is_shown_beside_holes(tm
     with TerrainStore(build_store(tmp_path / "store", np.where(is_known, heights, np.nan), height_step=STEP)) as store:
         y, x = np.mgrid[0:65, 0:65]
         points = np.stack(store.frame.to_local(x.ravel(), y.ravel()), axis=1)
-        finest = height_at(store, points)[0]
+        finest = HeightQuery(store).find(points)[0]
         assert np.isfinite(finest[is_known.ravel()]).all() and np.isfinite(finest[~is_known.ravel()]).any()
         for max_error in (5.0, 20.0, 50.0):
-            coarse = height_at(store, points, extract_uniform_cut(store, max_error))[0]
+            coarse = HeightQuery(store, extract_uniform_cut(store, max_error)).find(points)[0]
             assert np.isfinite(coarse[is_known.ravel()]).all()
             assert np.nanmax(np.abs(coarse - finest)) <= max_error + 1e-6
 
@@ -227,7 +226,7 @@ def test_a_small_cache_gives_the_same_heights(stores):
     points = random_points(stores["hole"], 5, 300)
     query = HeightQuery(stores["hole"], max_bytes=10_000)
     first, second = query.find(points), query.find(points)
-    expected = height_at(stores["hole"], points)
+    expected = HeightQuery(stores["hole"]).find(points)
     for result in (first, second):
         assert all(np.array_equal(found, wanted, equal_nan=True) for found, wanted in zip(result, expected, strict=True))
 
@@ -242,8 +241,6 @@ def test_damaged_patches_are_named_and_the_others_usable(tmp_path):
         query = HeightQuery(store)
         heights, _ = query.find(points)
         assert 0 < np.isnan(heights).sum() < 200 and len(query.damages) == 1 and next(store.verify()) in query.damages[0]
-        with pytest.raises(FileError, match="patch"):
-            height_at(store, points)
 
 
 @settings(max_examples=30)

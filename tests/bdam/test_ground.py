@@ -12,7 +12,7 @@ from farfield.addon.bridge.bdam.ground import find_base
 from farfield.addon.bridge.bdam.objects import STORE_KEY, SceneTerrain
 from farfield.addon.bridge.geometry.mesh_arrays import read_positions
 from farfield.addon.core.bdam.files.blocks import HEADER_SIZE, BlockReader
-from farfield.addon.core.bdam.ground.heights import height_at
+from farfield.addon.core.bdam.ground.heights import HeightQuery
 from farfield.addon.core.bdam.store.terrain_store import GEOMETRY_FILE, GEOMETRY_KIND, TerrainStore
 from small_terrain_stores import build_store, hills
 
@@ -89,7 +89,7 @@ def ground_below(terrain: SceneTerrain, folder, points) -> tuple[np.ndarray, np.
     points, matrix = np.atleast_2d(points), np.array(terrain.root.matrix_world, np.float64)
     local = (points - matrix[:3, 3]) @ np.linalg.inv(matrix[:3, :3]).T + terrain.origin
     with TerrainStore(folder) as store:
-        heights, normals = height_at(store, local[:, :2])
+        heights, normals = HeightQuery(store).find(local[:, :2])
     local[:, 2] = EXAGGERATION * heights
     normals = normals / [1.0, 1.0, EXAGGERATION] @ np.linalg.inv(matrix[:3, :3])
     return (local - terrain.origin) @ matrix[:3, :3].T + matrix[:3, 3], normals / np.linalg.norm(normals, axis=1, keepdims=True)

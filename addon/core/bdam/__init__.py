@@ -1,12 +1,12 @@
 """Height-field terrain of any size: BDAM, batched dynamic adaptive meshes (Cignoni et al., Eurographics 2003).
 
-`open_field` opens elevation models, `build_terrain` builds the store of a field, and `TerrainStore` opens it; `height_at` returns heights
-of the ground, and `extract_mesh` the mesh that a viewer needs.
+`open_field` opens elevation models, `build_terrain` builds the store of a field, and `TerrainStore` opens it; `HeightQuery` finds
+heights of the ground, and `extract_mesh` the mesh that a viewer needs.
 """
 
 from .building.terrain_build import BuildReport, build_terrain
 from .fields.terrain_field import FieldSettings, TerrainField, open_field
-from .ground.heights import height_at
+from .ground.heights import HeightQuery
 from .settings import BdamSettings
 from .store.terrain_store import TerrainStore
 from .view.cut_files import ExtractedMesh, extract_mesh
@@ -18,10 +18,10 @@ __all__ = [
     "CutSettings",
     "ExtractedMesh",
     "FieldSettings",
+    "HeightQuery",
     "TerrainField",
     "TerrainStore",
     "build_terrain",
     "extract_mesh",
-    "height_at",
     "open_field",
 ]

@@ -27,22 +27,6 @@ NUDGES = [NUDGE * np.array([x, y]) for x, y in ((2, 1), (1, 2), (-1, 2), (-2, 1)
 CELL_CORNERS = np.array([[[(0, 0), (1, 0), (1, 1)], [(0, 0), (1, 1), (0, 1)]], [[(0, 0), (1, 0), (0, 1)], [(1, 0), (1, 1), (0, 1)]]])
 
 
-def height_at(store: TerrainStore, points: np.ndarray, cut: Cut | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Return the heights (N,) float64 in meters and the unit normals (N, 3) float64 of the triangles at `points` (N, 2), local meters.
-
-    Both are NaN outside of the terrain, in holes, and at points that are not finite. cut: the finest triangles by default. Use a
-    `HeightQuery` for several calls.
-
-    Raises:
-        FileError: a patch that is needed is damaged.
-    """
-    query = HeightQuery(store, cut)
-    result = query.find(points)
-    if query.damages:
-        raise FileError(query.damages[0])
-    return result
-
-
 class HeightQuery:
     """Finds heights of one store, and keeps the patches used last. One thread at a time may use it.
 
@@ -60,7 +44,8 @@ class HeightQuery:
         self._rows = rows
 
     def find(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return heights (N,) float64 and normals (N, 3) float64; see `height_at`."""
+        """Return the heights (N,) float64 in meters and the unit normals (N, 3) float64 of the triangles at `points` (N, 2), local meters.
+        Both are NaN outside of the terrain, in holes, in damaged patches, and at points that are not finite."""
         points = np.asarray(points, np.float64).reshape(-1, 2)
         heights, normals = np.full(len(points), np.nan), np.full((len(points), 3), np.nan)
         for start in range(0, len(points), MAX_POINTS):
