@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from farfield.addon.core.bdam.building.terrain_build import build_terrain
-from farfield.addon.core.bdam.fields.placements import ProjectedFrame
 from farfield.addon.core.bdam.settings import BdamSettings
 from farfield.addon.core.bdam.store.structure import read_structure, write_structure
 from farfield.addon.core.bdam.store.terrain_store import TEXTURE_FOLDER, TerrainStore
@@ -20,6 +19,7 @@ from farfield.addon.core.bdam.textures.store import write_textures
 from farfield.addon.core.bdam.view.caches import PatchCache
 from farfield.addon.core.bdam.view.cut_meshes import CutMesh, merge_patches
 from farfield.addon.core.bdam.view.extraction import Cut
+from farfield.addon.core.geometry.placements import ProjectedFrame
 from farfield.addon.core.jobs.progress import run_to_end
 from texture_builds import build_textures, stretch_over_field
 

@@ -10,8 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from farfield.addon.core.bdam.files.backups import backup_path
-from farfield.addon.core.bdam.files.blocks import HEADER_SIZE, BlockReader
 from farfield.addon.core.bdam.ground.heights import HeightQuery
 from farfield.addon.core.bdam.ground.surfaces import StoreSurface
 from farfield.addon.core.bdam.settings import ViewSettings
@@ -21,6 +19,8 @@ from farfield.addon.core.bdam.view.cut_files import extract_mesh
 from farfield.addon.core.bdam.view.engine import BdamEngine
 from farfield.addon.core.bdam.view.extraction import CutSettings, extract_uniform_cut
 from farfield.addon.core.errors import FileError
+from farfield.addon.core.files.backups import backup_path
+from farfield.addon.core.files.blocks import HEADER_SIZE, BlockReader
 from farfield.addon.core.geometry.viewers import Projection, Viewer, look_at
 from farfield.addon.core.jobs.progress import run_to_end
 from small_terrain_stores import CELL_SIZE, add_texture, build_store, colors, hills

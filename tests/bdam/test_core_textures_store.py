@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from farfield.addon.core.bdam.files.backups import backup_path, copy_to_backup
-from farfield.addon.core.bdam.files.blocks import BlockReader, BlockWriter
 from farfield.addon.core.bdam.textures.grid import BORDER, STEP, TextureGrid
 from farfield.addon.core.bdam.textures.plan import TexturePlan
 from farfield.addon.core.bdam.textures.store import STRUCTURE_FILE, STRUCTURE_KIND, TILES_FILE, TextureStore, write_textures
 from farfield.addon.core.bdam.textures.tile_blocks import decode_tile, encode_tile
 from farfield.addon.core.errors import FarfieldError, FileError
+from farfield.addon.core.files.backups import backup_path, copy_to_backup
+from farfield.addon.core.files.blocks import BlockReader, BlockWriter
 from farfield.addon.core.imaging.coded_images import decode
 from farfield.addon.core.jobs.progress import run_to_end
 from texture_builds import build_textures, stretch_over_field, write_texture_store

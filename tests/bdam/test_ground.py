@@ -11,9 +11,9 @@ import pytest
 from farfield.addon.bridge.bdam.ground import find_base
 from farfield.addon.bridge.bdam.objects import STORE_KEY, SceneTerrain
 from farfield.addon.bridge.geometry.mesh_arrays import read_positions
-from farfield.addon.core.bdam.files.blocks import HEADER_SIZE, BlockReader
 from farfield.addon.core.bdam.ground.heights import HeightQuery
 from farfield.addon.core.bdam.store.terrain_store import GEOMETRY_FILE, GEOMETRY_KIND, TerrainStore
+from farfield.addon.core.files.blocks import HEADER_SIZE, BlockReader
 from small_terrain_stores import build_store, hills
 
 pytest.importorskip("zstandard")

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
+from ...files.blocks import BlockWriter
 from ...files.sealed_files import read_sealed
+from ...geometry.placements import Frame
 from ...jobs.progress import Progress, Steps
-from ..fields.placements import Frame
-from ..files.blocks import BlockWriter
 from ..store.structure import Level, StoreHeader, write_structure
 from ..store.terrain_store import GEOMETRY_FILE, GEOMETRY_KIND
 from ..tree import Tree

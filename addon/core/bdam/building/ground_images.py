@@ -23,8 +23,8 @@ from ...files.geotiff import GeoReference
 from ...files.height_maps import are_valid_sizes
 from ...files.segment_cache import SegmentCache
 from ...files.tiffs import TiffImage, open_tiff
+from ...geometry.placements import Placement, place_map
 from ...imaging.coded_images import read_coded_image, read_coded_shape
-from ..fields.placements import Placement, place_map
 from ..textures.resampling import PlacedImage
 from .height_grid import read_window
 from .tiff_colors import TiffColors, check_colors

@@ -11,12 +11,12 @@ from pathlib import Path
 from ...errors import FarfieldError, FileError
 from ...files.file_access import convert_os_errors
 from ...files.sealed_files import validate_or_remove, write_sealed
+from ...geometry.placements import GeographicFrame
 from ...jobs.executors import parse_executor
 from ...jobs.heartbeat import take_over
 from ...jobs.job_folder import open_job_folder, remove_temporary_files
 from ...jobs.progress import Progress, StageClock, Steps, subprogress
 from ...jobs.task_pool import TaskPool, open_task_pool
-from ..fields.placements import GeographicFrame
 from ..fields.terrain_field import TerrainField
 from ..settings import BdamSettings
 from ..store.structure import Level, StoreHeader

@@ -9,12 +9,12 @@ import numpy as np
 
 from ...errors import FileError
 from ...files.array_files import map_array, read_raw_window
+from ...files.ascii_grids import open_ascii_grid
 from ...files.file_access import error_reason
 from ...files.height_maps import check_numeric, check_size, find_missing
 from ...files.segment_cache import SegmentCache
 from ...files.tiffs import open_tiff
-from .ascii_grids import open_ascii_grid
-from .placements import Placement, place_map, unplaced
+from ...geometry.placements import Placement, place_map, unplaced
 
 MAX_SEGMENT_BYTES = 256 << 20  # bytes of a strip or tile that must be decoded as a whole
 MIN_SAMPLES = 2  # along each side

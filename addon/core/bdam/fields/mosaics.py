@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...errors import FileError, SettingsError
+from ...geometry.placements import Placement
 from .height_sources import MAX_SAMPLES, HeightSource
-from .placements import Placement
 
 MAX_DRIFT = 0.05  # cells by which samples of a file may differ from the common grid; headers have rounded numbers
 

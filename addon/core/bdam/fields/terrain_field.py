@@ -9,10 +9,10 @@ import numpy as np
 from ...errors import FileError, SettingsError
 from ...files.file_access import check_readable
 from ...files.segment_cache import DEFAULT_CACHE_BYTES, SegmentCache
+from ...geometry.placements import Frame, Placement, create_frame
 from ...messages import format_count
 from .height_sources import HeightSource, ReadImage, SourceContext, open_source
 from .mosaics import Mosaic, join
-from .placements import Frame, Placement, create_frame
 
 CHECK_SAMPLES = 1 << 22  # heights that are read at once when all are checked
 

@@ -23,9 +23,9 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FileError
-from ..fields.placements import Frame, GeographicFrame, ProjectedFrame
-from ..files.backups import FileDamage, backup_path, copy_to_backup, read_either
-from ..files.blocks import BlockReader, BlockWriter
+from ...files.backups import FileDamage, backup_path, copy_to_backup, read_either
+from ...files.blocks import BlockReader, BlockWriter
+from ...geometry.placements import Frame, GeographicFrame, ProjectedFrame
 from ..tree import Tree
 
 KIND, STRUCTURE_FILE = "bdamstru", "structure.bdam"

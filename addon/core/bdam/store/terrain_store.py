@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FileError
-from ..files.backups import FileDamage
-from ..files.blocks import BlockReader
+from ...files.backups import FileDamage
+from ...files.blocks import BlockReader
 from ..textures.store import TextureStore
 from .leaf_grids import leaf_grid
 from .patch_codec import Patch, decode_patch

@@ -18,8 +18,8 @@ import numpy as np
 
 from ...errors import FileError
 from ...files.atomic_write import TEMPORARY_SUFFIX
+from ...files.blocks import BlockReader, BlockWriter
 from ...files.file_access import convert_os_errors
-from ..files.blocks import BlockReader, BlockWriter
 from .filtering import EXTENSION, extend_colors, halve, measure_detail
 from .grid import BORDER, STEP, TILE_SIZE, TextureGrid
 from .plan import TexturePlan

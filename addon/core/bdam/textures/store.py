@@ -24,9 +24,9 @@ from typing import TypeVar
 import numpy as np
 
 from ...errors import FileError, ImageError
+from ...files.backups import FileDamage, copy_to_backup, read_either
+from ...files.blocks import BlockReader, BlockWriter
 from ...jobs.progress import Progress, Steps
-from ..files.backups import FileDamage, copy_to_backup, read_either
-from ..files.blocks import BlockReader, BlockWriter
 from .build import TILE_KIND, list_tiles, tile_path
 from .grid import TILE_SIZE, TextureGrid
 from .plan import TexturePlan, parse_plan

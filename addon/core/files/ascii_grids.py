@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ...errors import FileError
-from ...files.file_access import error_reason
-from ...files.height_maps import are_valid_sizes
-from ...files.segment_cache import SegmentCache
-from .placements import Placement
+from ..errors import FileError
+from ..geometry.placements import Placement
+from .file_access import error_reason
+from .height_maps import are_valid_sizes
+from .segment_cache import SegmentCache
 
 MAX_HEADER_BYTES = 4096
 BLOCK_BYTES = 4 << 20  # bytes of the file that are searched at once

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from ...errors import FileError
-from ...files.file_access import convert_os_errors
+from ..errors import FileError
+from .file_access import convert_os_errors
 
 SUFFIX = "-backup"
 

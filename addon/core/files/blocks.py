@@ -29,9 +29,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ...errors import FileError
-from ...files.file_access import check_readable, convert_os_errors
+from ..errors import FileError
 from .backups import FileDamage, backup_path, read_either
+from .file_access import check_readable, convert_os_errors
 
 MAGIC, VERSION = b"FFBLOCKS", 1
 HEADER = struct.Struct("<8sI8sQQI")

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from farfield.addon.core.bdam.files.blocks import CHECKSUM, HEADER, HEADER_SIZE, BlockReader, BlockWriter
 from farfield.addon.core.errors import FileError
+from farfield.addon.core.files.blocks import CHECKSUM, HEADER, HEADER_SIZE, BlockReader, BlockWriter
 
 BLOCKS = [b"first", b"", bytes(range(200)), b"\0" * 17]
 

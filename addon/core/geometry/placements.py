@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ...errors import FileError
-from ...files.geotiff import GEOCENTRIC, GEOGRAPHIC, GeoReference
-from ...geometry.map_projections import ECCENTRICITY, SEMI_MAJOR_AXIS, TransverseMercator
+from ..errors import FileError
+from ..files.geotiff import GEOCENTRIC, GEOGRAPHIC, GeoReference
+from .map_projections import ECCENTRICITY, SEMI_MAJOR_AXIS, TransverseMercator
 
 MAX_LONGITUDES = 60.0  # degrees from west to east; the projection stretches what is farther from its central meridian too much
 POLE = 90.0 + 1e-6  # degrees of latitude, and what rounding adds

@@ -1,1 +1,0 @@
-"""Files of blocks with checksums and backups, which stores of patches and of texture tiles use."""
