@@ -1,4 +1,5 @@
-"""Part `meshes` of bench_packages.py: bytes of packaged meshes compared with gltfpack and Draco, time, and estimated positions.
+"""Part `meshes` of bench_packages.py: bytes of the meshes of packages compared with those of gltfpack and Draco, time, and estimated
+positions.
 
 All get the same triangles with texture coordinates, without normals, and 16 bits per coordinate. `gltfpack` is the finest level alone, and
 gzip as a server would compress it. With `-noq` it keeps 32-bit floating-point numbers, of which meshopt removes less. Draco is used if

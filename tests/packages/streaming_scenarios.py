@@ -4,6 +4,7 @@ import random
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -88,8 +89,9 @@ class Exchange:
         return Event(self.time, running.id, size if is_last else self.rng.randint(running.received, size))
 
 
+@cache
 def random_exchange(seed: int, steps: int = 80) -> Exchange:
-    """A whole exchange of a random client."""
+    """A whole exchange of a random client, which nobody changes."""
     rng = random.Random(seed)
     plan = random_plan(rng)
     rate = rng.choice([None, rng.lognormvariate(12.5, 1.0)])

@@ -87,7 +87,7 @@ def describe(content: bytes, manifest: SimpleNamespace, missing: int = -1) -> li
 
 @needs_node
 def test_the_page_decodes_the_same_arrays(tmp_path):
-    meshes = [torus(has_materials=True), cube(), *(make_random_mesh(seed) for seed in range(12))]
+    meshes = [torus(has_materials=True), cube(), *(make_random_mesh(seed) for seed in range(4))]
     packed = [pack(order_with_levels(mesh)[1]) for mesh in meshes]
     cases = [make_case(*item, missing) for item in packed for missing in (-1, 1)]
     expected = [describe(*item, missing) for item in packed for missing in (-1, 1)]
@@ -100,7 +100,7 @@ def test_the_page_refuses_what_python_refuses(tmp_path):
     random = np.random.default_rng(0)
     packed = pack(order_with_levels(torus(16, 12, 4, has_materials=True))[1])
     cases, expected = [], []
-    for _ in range(200):
+    for _ in range(60):
         level, name = int(random.integers(len(packed[1].levels))), SECTIONS[random.integers(len(SECTIONS))]
         part = bytearray(read_section(*packed, level, name))
         if part:
@@ -112,13 +112,13 @@ def test_the_page_refuses_what_python_refuses(tmp_path):
         except FileError:
             expected.append("RangeError")
     assert run(cases, tmp_path) == expected
-    assert 20 < expected.count("RangeError") < 180
+    assert 6 < expected.count("RangeError") < 54
 
 
 @needs_node
 def test_the_page_bounds_what_it_allocates(tmp_path):
     content, manifest = pack(order_with_levels(torus(16, 12, 4))[1])
-    bombs = [replace_section(content, manifest, 0, name, bytes(10**7)) for name in SECTIONS]
+    bombs = [replace_section(content, manifest, 0, name, bytes(10**6)) for name in SECTIONS]
     lies = []
     for change in ({"vertex_count": 2**40}, {"wedge_count": 2**40}, {"triangle_counts": (2**40, 0, 0)}):
         level = type(manifest.levels[0])(**vars(manifest.levels[0]) | change)

@@ -44,7 +44,7 @@ def test_gaps_between_best_states_are_filled():
     assert found == [(300, 0.37), (1200, 0.35), (1600, 0.26)]
 
 
-@settings(max_examples=20)
+@settings(max_examples=8)
 @given(st.integers(0, 10**6))
 def test_states_are_few_and_each_has_a_smaller_error(seed):
     rng = np.random.default_rng(seed)

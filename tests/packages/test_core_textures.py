@@ -249,7 +249,7 @@ def test_unused_texels_are_filled_smoothly():
     assert np.ptp(filled[~used]) <= np.ptp(source.image) and not used.all()
 
 
-@settings(deadline=None, max_examples=8)
+@settings(deadline=None, max_examples=4)
 @given(st.integers(1, 70), st.integers(1, 70), st.sampled_from([16, 32, 48]))
 def test_textures_of_any_size_can_be_sent(width, height, tile_size):
     source = make_source((height, width))
@@ -291,7 +291,11 @@ def test_detail_that_no_image_shows_is_coded_once():
 
 @pytest.mark.parametrize(
     ("tile_size", "finest", "finer"),
-    [(32, {COMPLETE}, {COMPLETE}), (64, {COMPLETE}, {5, COMPLETE}), (128, {5, COMPLETE}, {0, 5, COMPLETE})],
+    [
+        (32, {COMPLETE}, {COMPLETE}),
+        pytest.param(64, {COMPLETE}, {5, COMPLETE}, marks=pytest.mark.exhaustive),
+        (128, {5, COMPLETE}, {0, 5, COMPLETE}),
+    ],
 )
 def test_detail_finer_than_images_show_has_the_highest_quality_only_where_tiles_are_many(tile_size, finest, finer):
     source = make_source((512, 512))
@@ -304,7 +308,7 @@ def test_detail_finer_than_images_show_has_the_highest_quality_only_where_tiles_
     assert sum((level, variant) == (0, COMPLETE) for level, variant, _ in coded.tiles) == coded.used.sum()
 
 
-@pytest.mark.parametrize("footprint", [1.0, 4.0])
+@pytest.mark.parametrize("footprint", [pytest.param(1.0, marks=pytest.mark.exhaustive), 4.0])
 def test_progress_of_coding_never_falls(footprint):
     source = make_source((256, 256))
     grid = check_source(source, 64)

@@ -9,15 +9,10 @@ import pytest
 from reference.mesh_decoding import decode_level, dequantize
 
 import packages
-from farfield.addon.bridge.packages.sources import read_package_source
 from farfield.addon.core.errors import FileError, SettingsError
-from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.packages.files import LEVELS_GLB, read_package, read_page
 from farfield.addon.core.packages.manifest import MANIFEST, MESH, TEXTURES
-from farfield.addon.core.packages.package import build_package
-from farfield.addon.core.packages.settings import PackageSettings
 from farfield.addon.core.packages.textures.coding import decode_textures
-from farfield.addon.core.texmesh.settings import TexmeshSettings
 from glb_reader import read_glb
 from lib import command_line, scene_files
 from textured_scenes import textured_ball
@@ -37,21 +32,30 @@ def run(*arguments):
     return packages.main([str(argument) for argument in arguments], command_line.ProgressLine())
 
 
-def test_a_package_of_an_object(folder):
-    ball = textured_ball(16)
-    ball.scale, ball.location = (2.0, 2.0, 2.0), (7.0, 0.0, 0.0)
+@pytest.fixture(scope="module")
+def package(extension, tmp_path_factory):
+    """The folder of the package of a scaled and moved ball, whose export has left the scene as it was."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    ball = textured_ball(8)
+    ball.scale, ball.location = (1.0, 2.0, 3.0), (7.0, 0.0, 0.0)
     bpy.context.view_layer.update()
     before = len(bpy.data.objects), len(bpy.data.meshes), len(bpy.data.images)
-    assert bpy.ops.farfield.packages_export(folder=str(folder), **SMALL) == {"FINISHED"}
+    folder, mirrors = tmp_path_factory.mktemp("package") / "été à la mer", "https://example.org/a, http://example.org/b/"
+    assert bpy.ops.farfield.packages_export(folder=str(folder), mirrors=mirrors, **SMALL) == {"FINISHED"}
     assert (len(bpy.data.objects), len(bpy.data.meshes), len(bpy.data.images)) == before
-    assert {path.name for path in folder.iterdir()} == {MANIFEST, MESH, TEXTURES, LEVELS_GLB, *read_page()}
-    content = read_package(folder)
+    return folder
+
+
+def test_a_package_of_an_object(package):
+    assert {path.name for path in package.iterdir()} == {MANIFEST, MESH, TEXTURES, LEVELS_GLB, *read_page()}
+    content = read_package(package)
     manifest = content.manifest
     assert manifest.name == "Bällchen" and len(manifest.levels) == 3
+    assert manifest.mirrors == ("https://example.org/a/", "http://example.org/b/")
     finest = decode_level(content.mesh, manifest, 2)
     positions = dequantize(finest.positions, manifest.bounds, manifest.steps[0])
-    np.testing.assert_allclose(np.linalg.norm(positions, axis=1), 2.0, atol=2e-3)
-    assert len(finest.triangles) == 960
+    np.testing.assert_allclose(np.linalg.norm(positions / [1.0, 3.0, 2.0], axis=1), 1.0, atol=2e-3)
+    assert len(finest.triangles) == 224
     (image,) = decode_textures(manifest.textures, content.increments, memoryview(content.textures)[manifest.first_increment :])
     assert image.shape == (32, 32, 3)
     rows, columns = np.mgrid[:32, :32]
@@ -61,26 +65,23 @@ def test_a_package_of_an_object(folder):
     assert manifest.errors.tabulate()[2][-1] < 0.1 < manifest.errors.tabulate()[0][0]
 
 
-def test_axes_are_those_of_gltf(folder):
-    cube = textured_ball(8)
-    cube.scale = (1.0, 2.0, 3.0)
-    bpy.context.view_layer.update()
-    bpy.ops.farfield.packages_export(folder=str(folder), **SMALL)
-    manifest = read_package(folder).manifest
-    np.testing.assert_allclose(manifest.bounds[1], [1.0, 3.0, 2.0], rtol=0.05)
-    scene = read_glb(folder / LEVELS_GLB)
+def test_axes_are_those_of_gltf(package):
+    np.testing.assert_allclose(read_package(package).manifest.bounds[1], [1.0, 3.0, 2.0], rtol=0.05)
+    scene = read_glb(package / LEVELS_GLB)
     corners = scene.meshes[0].primitives[0].positions
     assert len(scene.meshes) == 3 and corners.max(axis=0).argmax() == 1
 
 
-def test_several_objects_have_folders(folder):
-    first, second = textured_ball(8, "a/b"), textured_ball(8, "a:b")
+def test_several_objects_have_folders_and_equal_ones_the_same_bytes(folder):
+    first, second = textured_ball(6, "a/b"), textured_ball(6, "a:b")
     for item in (first, second):
         item.select_set(True)
     bpy.ops.farfield.packages_export(folder=str(folder), gltf_file=False, **SMALL)
     assert sorted(path.name for path in folder.iterdir()) == ["a_b", "a_b_2"]
     assert [read_package(path).manifest.name for path in sorted(folder.iterdir())] == ["a/b", "a:b"]
     assert not (folder / "a_b" / LEVELS_GLB).exists()
+    for name in (MESH, TEXTURES):
+        assert (folder / "a_b" / name).read_bytes() == (folder / "a_b_2" / name).read_bytes()
 
 
 def test_a_folder_is_needed():
@@ -96,19 +97,13 @@ def test_mirrors_must_be_urls(folder):
     assert not folder.exists()
 
 
-def test_mirrors_are_written(folder):
-    textured_ball(8)
-    bpy.ops.farfield.packages_export(folder=str(folder), mirrors="https://example.org/a, http://example.org/b/", **SMALL)
-    assert read_package(folder).manifest.mirrors == ("https://example.org/a/", "http://example.org/b/")
-
-
 def test_script_builds_and_verifies(folder):
-    textured_ball()
+    textured_ball(8).scale = (1.0, 2.0, 3.0)
     scene = folder.parent / "bällchen.blend"
     scene.parent.mkdir(parents=True)
     scene_files.save_scene(scene)
     summary = run("build", scene, "--out", folder, "--report", folder.parent / "report.json", *FLAGS)
-    assert '"Bällchen": 3 levels with 528' in summary
+    assert '"Bällchen": 3 levels with 224' in summary
     (figures,) = json.loads((folder.parent / "report.json").read_text(encoding="utf-8"))["packages"]
     assert figures["errors_of_levels"][0] == 0.0 and figures["mesh_bytes"] == (folder / MESH).stat().st_size
     assert "is complete: 3 levels" in run("verify", folder)
@@ -116,16 +111,6 @@ def test_script_builds_and_verifies(folder):
         run("build", scene, "--out", scene)
     with pytest.raises(SettingsError, match="multiple of 16"):
         run("build", scene, "--out", folder, "--tile-size", "100", *FLAGS)
-
-
-@pytest.fixture(scope="module")
-def package(extension, tmp_path_factory):
-    """The folder of a small package, which tests copy."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    textured_ball(8)
-    folder = tmp_path_factory.mktemp("package")
-    bpy.ops.farfield.packages_export(folder=str(folder), gltf_file=False, **SMALL)
-    return folder
 
 
 @pytest.mark.parametrize("name", [MESH, TEXTURES])
@@ -151,15 +136,3 @@ def test_incomplete_packages_are_refused(package, tmp_path):
     (folder / MANIFEST).unlink()
     with pytest.raises(FileError, match="cannot be read"):
         read_package(folder)
-
-
-def build(source, **properties):
-    settings = TexmeshSettings(vertices="original", views=2, max_image=64)
-    package_settings = PackageSettings(**{"pixels": 96, **properties})
-    return run_to_end(build_package(source.name, source.mesh, source.materials, source.textures, settings, package_settings))
-
-
-def test_the_same_source_gives_the_same_bytes():
-    source = read_package_source(textured_ball(8), bpy.context.evaluated_depsgraph_get())
-    first, second = build(source), build(source)
-    assert first.manifest == second.manifest and first.contents == second.contents

@@ -10,13 +10,13 @@ from farfield.addon.bridge.texmesh.scale_attributes import SCALE_ATTRIBUTE, read
 from textured_scenes import textured_ball
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
-SMALL = {"levels": "number", "number": 3, "views": 2, "max_image": 128}
+SMALL = {"levels": "number", "number": 3, "views": 2, "max_image": 64}
 
 
 @pytest.fixture
 def ball() -> bpy.types.Object:
     """A smooth sphere with a UV map and a checkered image."""
-    return textured_ball(16, "Ball")
+    return textured_ball(12, "Ball")
 
 
 def make(**values) -> list[bpy.types.Object]:
@@ -31,7 +31,7 @@ def test_levels_have_fewer_triangles_and_larger_errors(ball, vertices):
     bpy.context.view_layer.update()
     levels = make(vertices=vertices)
     counts, errors = [len(level.data.polygons) for level in levels], [level[ERROR] for level in levels]
-    assert len(levels) == 3 and counts == sorted(counts, reverse=True) and counts[0] == 960
+    assert len(levels) == 3 and counts == sorted(counts, reverse=True) and counts[0] == 528
     assert errors[0] == 0.0 and errors == sorted(errors) and errors[1] > 0.0
     assert all(level.matrix_world == ball.matrix_world and not level.data.validate() for level in levels)
     assert all(level.data.uv_layers.active.name == ball.data.uv_layers.active.name for level in levels)

@@ -18,7 +18,7 @@ SIDE = 512
 @pytest.fixture
 def ball() -> bpy.types.Object:
     """A smooth sphere with a UV map and a checkered image of SIDE pixels."""
-    item = textured_ball(12, "Ball")
+    item = textured_ball(8, "Ball")
     item.data.materials[0] = textured_material(checker_image("Squares", SIDE))
     return item
 

@@ -12,7 +12,7 @@ TILE_UNIT = 16  # pixels
 
 @dataclass(frozen=True, kw_only=True)
 class PackageSettings(Settings):
-    """What a package is made for. Raises SettingsError if the size of tiles is no multiple of 16."""
+    """What a package is made for. Raises SettingsError if the size of tiles is no multiple of 16, or a mirror is no URL."""
 
     time_limit: float = setting(
         10.0, "Time within which the model is complete. The page can change it", minimum=0.5, maximum=3600.0, unit=Unit.SECONDS
@@ -29,6 +29,7 @@ class PackageSettings(Settings):
         super().__post_init__()
         if self.tile_size % TILE_UNIT:
             raise SettingsError(f"Tile Size is {self.tile_size}; it must be a multiple of {TILE_UNIT}.", ("tile_size",))
+        self.mirror_urls()
 
     def mirror_urls(self) -> tuple[str, ...]:
         """Return the URLs of the mirrors, each ending in "/".

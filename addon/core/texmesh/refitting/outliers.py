@@ -1,7 +1,7 @@
-"""Outliers: the places of a level that are much farther from the fine mesh than most, from both sides.
+"""Outliers: the places of a level that are much farther from the fine mesh than most, by the true distance from both sides.
 
-Least squares between equal texture coordinates leave them where few samples lie: at edges over a valley, next to small triangles, and
-beyond concave boundaries, where the fine mesh has no texture coordinates. The mean hardly shows them; renders do.
+Least squares between equal texture coordinates leave them where few samples lie: at edges that bridge a valley, next to small triangles,
+and beyond concave boundaries, where the fine mesh has no texture coordinates. The mean hardly shows them; renders do.
 """
 
 from dataclasses import dataclass
