@@ -5,13 +5,10 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from farfield.addon.core.errors import SettingsError
 from farfield.addon.core.texmesh.perception.calibration import (
     Answer,
-    accepted_distances,
     answers_from_rows,
     answers_to_rows,
     estimate_threshold,
@@ -121,15 +118,6 @@ def test_trials_repeat_with_the_seed_and_show_every_level_in_turn():
     assert answers_from_rows(json.loads(json.dumps(answers_to_rows(answers))), 5) == answers
 
 
-@given(st.lists(st.tuples(st.integers(1, 4), st.floats(0.1, 100.0)), max_size=30))
-def test_the_step_function_of_answers_ascends(pairs):
-    answers = [Answer(level, 1.0, distance) for level, distance in [*pairs, (1, 1.0), (2, 2.0), (3, 3.0), (4, 4.0)]]
-    distances = accepted_distances(answers, 4)
-    assert distances[0] == 0.0 and (np.diff(distances) >= 0.0).all()
-    if not pairs:
-        assert distances.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
-
-
 def test_unusable_answers_are_refused():
     with pytest.raises(SettingsError, match="too few"):
         estimate_threshold([Answer(1, 1.0, 2.0)], np.array([0.1]))
@@ -137,8 +125,6 @@ def test_unusable_answers_are_refused():
         estimate_threshold([Answer(1, 1.0, 2.0)] * 10, np.array([0.1]))
     with pytest.raises(SettingsError, match="more often"):
         estimate_threshold([Answer(1, 1.0, 2.0)] * 9 + [Answer(2, 1.0, 0.5)] * 9, np.array([0.1, 0.3]))
-    with pytest.raises(SettingsError, match="Level 2"):
-        accepted_distances([Answer(1, 1.0, 2.0)], 2)
     with pytest.raises(SettingsError, match="make levels"):
         next_trial([], 0, 1.0, 0)
     for rows in (None, [{}], [{"level": 9, "start_distance": 1, "accepted_distance": 1}], [{"level": 1, "start_distance": "x"}], [[1]]):

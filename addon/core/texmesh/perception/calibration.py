@@ -146,28 +146,6 @@ def estimate_threshold(answers: Sequence[Answer], stimuli: np.ndarray) -> Thresh
     return Threshold(value, value - spread * half, value + spread * half, float(steepness / spread), correlation, len(answers))
 
 
-def accepted_distances(answers: Sequence[Answer], level_count: int) -> np.ndarray:
-    """Return the step function (L + 1,) of `level_count` levels: 0 for the original, then the median accepted distance of each level, made
-    ascending by least squares (pool adjacent violators), weighted by the number of answers.
-
-    Raises:
-        SettingsError: a level has no answers.
-    """
-    found = [[answer.accepted_distance for answer in answers if answer.level == level] for level in range(1, level_count + 1)]
-    missing = [level for level, distances in enumerate(found, 1) if not distances]
-    if missing:
-        raise SettingsError(f"Level {missing[0]} has not been judged; continue the experiment.")
-    blocks = [[float(np.median(distances)), float(len(distances)), 1] for distances in found]  # mean, weight, levels
-    merged: list[list[float]] = []
-    for block in blocks:
-        merged.append(block)
-        while len(merged) > 1 and merged[-2][0] > merged[-1][0]:
-            (first, weight, levels), (second, other_weight, other_levels) = merged[-2:]
-            total = weight + other_weight
-            merged[-2:] = [[(first * weight + second * other_weight) / total, total, levels + other_levels]]
-    return np.concatenate([[0.0], np.repeat([block[0] for block in merged], [int(block[2]) for block in merged])])
-
-
 def _fit_logistic(x: np.ndarray, noticed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return offset and steepness (2,) of the logistic function of standardized `x` (N,), and their covariance, by Newton's method."""
     design = np.stack([np.ones_like(x), x], axis=1)

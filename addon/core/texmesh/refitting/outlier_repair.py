@@ -3,6 +3,8 @@
 Vertices stay where moves would turn triangles over.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ...arrays import find_last_positions
@@ -13,15 +15,24 @@ from .least_squares import Linearization, compute_moments
 from .level_state import LevelState
 from .outliers import EDGE_FRACTIONS, FineSurface, LevelDistances, gather_some_points
 
-ATTRACTION = 0.5  # weight of an outlier at the limit, relative to all samples of a triangle; it grows with the fourth power of the distance
-MAX_ATTRACTION = 30.0
-MAX_FLIPPED_FRACTION = 0.7  # A flipped edge has at most this fraction of the distance of the edge.
-MAX_WITHDRAWALS = 6
-HALVINGS = 2  # withdrawals that leave a part of a step, before the others leave nothing
-WITHDRAWN_FRACTION = 0.5
-ACCEPTED_FRACTION = 0.8  # A point may get farther, up to this fraction of the largest distance nearby, while that is lowered.
-PEAK_RINGS = 2
-MAX_ROUNDS = 6  # Rounds in which vertices stay because of those that stayed before.
+
+@dataclass(frozen=True)
+class Tuning:
+    """Numbers of the method."""
+
+    # Weight of an outlier at the limit, relative to all samples of a triangle; it grows with the fourth power of the distance.
+    attraction: float = 0.5
+    max_attraction: float = 30.0
+    max_flipped_fraction: float = 0.7  # A flipped edge has at most this fraction of the distance of the edge.
+    max_withdrawals: int = 6
+    halvings: int = 2  # Withdrawals that leave a part of a step, before the others leave nothing.
+    withdrawn_fraction: float = 0.5
+    accepted_fraction: float = 0.8  # A point may get farther, up to this fraction of the largest distance nearby, while that is lowered.
+    peak_rings: int = 2
+    max_rounds: int = 6  # Rounds in which vertices stay because of those that stayed before.
+
+
+TUNING = Tuning()
 
 
 def flip_outliers(state: LevelState, surface: FineSurface, measured: LevelDistances) -> LevelState:
@@ -34,7 +45,7 @@ def flip_outliers(state: LevelState, surface: FineSurface, measured: LevelDistan
     first, second = (state.mesh.vertices[quads.vertices[:, corner]] for corner in (0, 2))
     points = first[:, None] + EDGE_FRACTIONS[:, None] * (second - first)[:, None]
     after = surface.measure_distances(points.reshape(-1, 3)).reshape(-1, len(EDGE_FRACTIONS)).max(axis=1)
-    gains = np.where(after < MAX_FLIPPED_FRACTION * peaks, peaks - after, 0.0)
+    gains = np.where(after < TUNING.max_flipped_fraction * peaks, peaks - after, 0.0)
     return flip_quads(state, quads, select_flips(state, quads, gains))
 
 
@@ -75,7 +86,7 @@ def _attract(state: LevelState, measured: LevelDistances) -> LevelState:
     count = len(measured.distances)
     areas, _ = state.areas_and_normals
     size = np.maximum(areas[measured.triangles], areas.mean())
-    weights = size * np.minimum(ATTRACTION * (measured.distances / measured.limit) ** 4, MAX_ATTRACTION)
+    weights = size * np.minimum(TUNING.attraction * (measured.distances / measured.limit) ** 4, TUNING.max_attraction)
     samples, found = state.samples, state.found
     blank = np.zeros(count)
     added = (blank, measured.barycentric, measured.targets, np.zeros((count, 2)), blank, weights)
@@ -101,12 +112,12 @@ def _withdraw(state: LevelState, vertices: np.ndarray, surface: FineSurface, mea
     before = np.concatenate([measured.at_vertices, measured.at_edges.ravel()])
     peaks = _find_peaks_around(measured)
     around = np.concatenate([peaks, np.repeat(peaks[ends].min(axis=1), len(EDGE_FRACTIONS))])
-    allowed = np.maximum(np.maximum(before, measured.limit), ACCEPTED_FRACTION * around)
+    allowed = np.maximum(np.maximum(before, measured.limit), TUNING.accepted_fraction * around)
     has_changed = np.ones(len(vertices), bool)
     _, planes = _measure_planes(state, state.mesh.vertices, has_changed)
     corner_peaks = peaks[state.mesh.triangles].min(axis=1)[state.found.triangles]
-    allowed_planes = np.maximum(np.maximum(planes, measured.limit), ACCEPTED_FRACTION * corner_peaks)
-    for attempt in range(MAX_WITHDRAWALS):
+    allowed_planes = np.maximum(np.maximum(planes, measured.limit), TUNING.accepted_fraction * corner_peaks)
+    for attempt in range(TUNING.max_withdrawals):
         moves = np.linalg.norm(result - state.mesh.vertices, axis=1)
         bounds = before + np.concatenate([moves, np.repeat(moves[ends].max(axis=1), len(EDGE_FRACTIONS))])
         is_open = np.concatenate([has_changed, np.repeat(has_changed[ends].any(axis=1), len(EDGE_FRACTIONS))])
@@ -122,7 +133,7 @@ def _withdraw(state: LevelState, vertices: np.ndarray, surface: FineSurface, mea
         stays = stays[moves[stays] > 0.0]
         if not len(stays):
             break
-        fraction = WITHDRAWN_FRACTION if attempt < HALVINGS else 0.0
+        fraction = TUNING.withdrawn_fraction if attempt < TUNING.halvings else 0.0
         result[stays] = state.mesh.vertices[stays] + fraction * (result[stays] - state.mesh.vertices[stays])
         has_changed[:] = False
         has_changed[stays] = True
@@ -132,7 +143,7 @@ def _withdraw(state: LevelState, vertices: np.ndarray, surface: FineSurface, mea
 def _find_peaks_around(measured: LevelDistances) -> np.ndarray:
     """Return the largest distances (V,) around the vertices."""
     ends, peaks = measured.edges.ends, measured.at_vertices.copy()
-    for _ in range(PEAK_RINGS):
+    for _ in range(TUNING.peak_rings):
         highest = np.maximum(measured.peaks, peaks[ends].max(axis=1))
         np.maximum.at(peaks, ends.ravel(), np.repeat(highest, 2))
     return peaks
@@ -169,7 +180,7 @@ def unfold(state: LevelState, vertices: np.ndarray, surface: FineSurface) -> np.
     toward it."""
     mesh, result = state.mesh, vertices.copy()
     before = scaled_normals(state.corners)
-    for _ in range(MAX_ROUNDS):
+    for _ in range(TUNING.max_rounds):
         after = scaled_normals(result[mesh.triangles])
         rows = np.flatnonzero(np.einsum("ti,ti->t", before, after) < 0.0)
         if not len(rows):

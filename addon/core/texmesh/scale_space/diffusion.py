@@ -28,17 +28,27 @@ from .features import SCALES
 
 GROWTHS = [Fraction(*pair) for pair in [(6, 5), (5, 4), (4, 3), (7, 5), (3, 2), (8, 5), (5, 3), (7, 4), (2, 1), (5, 2), (3, 1), (4, 1)]]
 MIN_STEPS, COARSE_STEPS = 2, 3  # per scale, on the mesh and on coarse levels
-SIGMA_PER_RADIUS = 4.0  # from this standard deviation on, relative to its radius, a level is fine enough
-SEARCH_SIZE = 2500  # degrees of freedom on which the largest scale is searched
-SEARCH_GROWTH = 1.15  # Factor of the standard deviation between two steps of the search.
-RADIUS_GROWTH = 2.5  # between two levels: that of the distance between roots
-MIN_SIZE = 400  # degrees of freedom below which a level is not coarsened
-MAX_LEVELS = 12
-MIN_REDUCTION = 0.9  # Levels with more than this fraction of the degrees of freedom are left out.
-SMOOTHING = 2.0 / 3.0  # damping of the Jacobi steps that smooth functions on aggregates
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Numbers of the method."""
+
+    sigma_per_radius: float = 4.0  # From this standard deviation on, relative to its radius, a level is fine enough.
+    search_size: int = 2500  # Degrees of freedom on which the largest scale is searched.
+    search_growth: float = 1.15  # Factor of the standard deviation between two steps of the search.
+    radius_growth: float = 2.5  # Between two levels: that of the distance between roots.
+    min_size: int = 400  # Degrees of freedom below which a level is not coarsened.
+    max_levels: int = 12
+    min_reduction: float = 0.9  # Levels with more than this fraction of the degrees of freedom are left out.
+    smoothing: float = 2.0 / 3.0  # Damping of the Jacobi steps that smooth functions on aggregates.
+    min_energy: float = 0.1  # With a smaller energy of coarse coordinates, relative to fine ones, most components have become points.
+    mass_digits: float = 1e5  # Mass relative to the mean is rounded to this for an order that does not depend on that of the vertices.
+
+
+TUNING = Tuning()
+
 SMOOTHING_STEPS, COORDINATE_STEPS = 2, 12  # Steps of functions on aggregates, and of the coordinates whose energy is compared.
-MIN_ENERGY = 0.1  # With a smaller energy of coarse coordinates, relative to fine ones, most components have become points.
-MASS_DIGITS = 1e5  # mass relative to the mean is rounded to this for an order that does not depend on that of the vertices
 
 
 @dataclass(frozen=True)
@@ -65,11 +75,11 @@ def build_levels(laplacian: sparse.csc_array, masses: np.ndarray, positions: np.
     laplacian: (V, V). masses: (V,), positive. positions: (V, 3).
     """
     levels = [Level(laplacian, sparse.diags_array(masses).tocsc(), positions, 0.0, None)]
-    while radius <= max_radius and len(levels[-1].positions) > MIN_SIZE and len(levels) < MAX_LEVELS:
+    while radius <= max_radius and len(levels[-1].positions) > TUNING.min_size and len(levels) < TUNING.max_levels:
         coarse = _coarsen(levels[-1], radius)
-        if len(coarse.positions) <= MIN_REDUCTION * len(levels[-1].positions):
+        if len(coarse.positions) <= TUNING.min_reduction * len(levels[-1].positions):
             levels.append(coarse)
-        radius *= RADIUS_GROWTH
+        radius *= TUNING.radius_growth
     return levels
 
 
@@ -81,8 +91,8 @@ def _coarsen(level: Level, radius: float) -> Level:
     tentative = sparse.csr_array((np.ones(count), (np.arange(count), aggregates)), shape=(count, len(roots)))
     sums = np.asarray(weights.sum(axis=1)).ravel()
     is_linked = sums > 0.0
-    averaging = sparse.diags_array(np.where(is_linked, SMOOTHING, 0.0) / np.where(is_linked, sums, 1.0)) @ weights
-    smoothing = (averaging + sparse.diags_array(np.where(is_linked, 1.0 - SMOOTHING, 1.0))).tocsr()
+    averaging = sparse.diags_array(np.where(is_linked, TUNING.smoothing, 0.0) / np.where(is_linked, sums, 1.0)) @ weights
+    smoothing = (averaging + sparse.diags_array(np.where(is_linked, 1.0 - TUNING.smoothing, 1.0))).tocsr()
     prolongation, coordinates = tentative, level.positions
     for _ in range(SMOOTHING_STEPS):
         prolongation = (smoothing @ prolongation).tocsr()
@@ -96,7 +106,7 @@ def _coarsen(level: Level, radius: float) -> Level:
     energies = [
         float(np.sum(values * (operator @ values))) for operator, values in ((level.laplacian, coordinates), (laplacian, projected))
     ]
-    correction = energies[0] / energies[1] if energies[1] > MIN_ENERGY * energies[0] else 1.0
+    correction = energies[0] / energies[1] if energies[1] > TUNING.min_energy * energies[0] else 1.0
     return Level(laplacian * correction, mass, projected, radius, prolongation)
 
 
@@ -117,7 +127,7 @@ def _rank(level: Level) -> np.ndarray:
     """Return the place (n,) int64 of each degree of freedom in an order that looks random but follows from masses, so that it does not
     depend on the order of vertices. Equal masses are ordered by index."""
     masses = level.mass.diagonal()
-    rounded = np.rint(masses / masses.mean() * MASS_DIGITS).astype(np.uint64)
+    rounded = np.rint(masses / masses.mean() * TUNING.mass_digits).astype(np.uint64)
     order = np.lexsort((_scramble(np.arange(len(masses), dtype=np.uint64)), _scramble(rounded)))
     rank = np.empty(len(masses), np.int64)
     rank[order] = np.arange(len(masses))
@@ -200,7 +210,7 @@ def diffuse(levels: Sequence[Level], integrals: np.ndarray, times: np.ndarray, g
         yield Progress(scale / len(times), f"Diffusing, scale {scale + 1} of {len(times)}")
         if solver is not None and len(finer) + 1 < len(levels):
             coarser = levels[len(finer) + 1]
-            if np.sqrt(2.0 * times[scale - 1]) >= SIGMA_PER_RADIUS * coarser.radius:
+            if np.sqrt(2.0 * times[scale - 1]) >= TUNING.sigma_per_radius * coarser.radius:
                 finer.append(solver)
                 integrals, solver = coarser.prolongation.T @ integrals, None
                 components = _label_components(coarser)
@@ -243,7 +253,7 @@ def search_last_sigma(
 
     integrals: (V, S) of the signals around each vertex. convergence: the mean at which to stop, below 1.
     """
-    index = next((index for index, level in enumerate(levels) if len(level.positions) <= SEARCH_SIZE), len(levels) - 1)
+    index = next((index for index, level in enumerate(levels) if len(level.positions) <= TUNING.search_size), len(levels) - 1)
     for level in levels[1 : index + 1]:
         integrals = level.prolongation.T @ integrals
     level = levels[index]
@@ -258,9 +268,9 @@ def search_last_sigma(
         ranges = _find_ranges(values, components) * np.array([sigma] + [1.0] * (len(weights) - 1))
         largest = np.maximum(largest, ranges)
         relative = float(weights @ (ranges / np.where(largest > 0.0, largest, 1.0)))
-        if relative < convergence * weights.sum() or sigma * SEARCH_GROWTH > limit:
+        if relative < convergence * weights.sum() or sigma * TUNING.search_growth > limit:
             return sigma, largest
-        sigma *= SEARCH_GROWTH
+        sigma *= TUNING.search_growth
 
 
 def _label_components(level: Level) -> np.ndarray:

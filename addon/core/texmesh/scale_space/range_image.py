@@ -18,16 +18,25 @@ from .features import SCALES, LastFeatures, ScaleMap
 
 MIN_COLUMNS, MIN_ROWS = 8, 4
 MAX_COLUMNS = MAX_ROWS = 1 << 13
-MAX_TURN = 0.5 * np.pi  # A triangle that turns farther around the axis is next to it or around it.
-MIN_FACING = 0.05  # cosine between the normal and the direction away from the axis; below, a triangle is seen edge-on
-MIN_EXTENT = 1e-9  # in height, relative to the largest
-LAYER_TOLERANCE = 1.0  # samples between a point and the surface around its pixel
-ROUNDING = 1e-9  # Differences of the Laplacian below this fraction of the largest range owe their sign to rounding.
-SEARCH_STEPS = 20  # bisections of the largest standard deviation
-MIN_SAMPLES = 16
-MIN_LOSS = 0.0005  # A loss of this fraction of the area is worth a sentence.
-WINDOW = 1.4  # half the side of the window relative to the standard deviation (section II.A)
-MIN_WEIGHT = 1e-9  # A window with less weight of known samples is unknown.
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Numbers of the method."""
+
+    max_turn: float = 0.5 * np.pi  # A triangle that turns farther around the axis is next to it or around it.
+    min_facing: float = 0.05  # Cosine between the normal and the direction away from the axis; below, a triangle is seen edge-on.
+    min_extent: float = 1e-9  # In height, relative to the largest.
+    layer_tolerance: float = 1.0  # Samples between a point and the surface around its pixel.
+    rounding: float = 1e-9  # Differences of the Laplacian below this fraction of the largest range owe their sign to rounding.
+    search_steps: int = 20  # Bisections of the largest standard deviation.
+    min_samples: int = 16
+    min_loss: float = 0.0005  # A loss of this fraction of the area is worth a sentence.
+    window: float = 1.4  # Half the side of the window relative to the standard deviation (section II.A).
+    min_weight: float = 1e-9  # A window with less weight of known samples is unknown.
+
+
+TUNING = Tuning()
 
 
 @dataclass(frozen=True)
@@ -65,9 +74,9 @@ def build_range_image(vertices: np.ndarray, triangles: np.ndarray, axis: int) ->
     areas = np.linalg.norm(normals, axis=1)
     facing = np.abs(np.einsum("ij,ij->i", normals[:, :2], centroids[:, :2]))
     corner_angles = _unwrap(np.arctan2(points[:, 1], points[:, 0])[triangles])
-    is_drawn = (np.ptp(corner_angles, axis=1) < MAX_TURN) & (facing > MIN_FACING * areas * np.hypot(*centroids[:, :2].T))
+    is_drawn = (np.ptp(corner_angles, axis=1) < TUNING.max_turn) & (facing > TUNING.min_facing * areas * np.hypot(*centroids[:, :2].T))
 
-    low, extent = points[:, 2].min(), max(float(np.ptp(points[:, 2])), MIN_EXTENT * float(np.abs(points).max()))
+    low, extent = points[:, 2].min(), max(float(np.ptp(points[:, 2])), TUNING.min_extent * float(np.abs(points).max()))
     size = _choose_size(corner_angles[is_drawn], points[triangles[is_drawn], 2], extent, len(vertices))
     scale = np.array([size[0] / (2.0 * np.pi), size[1] / extent])
     corners = np.stack([(corner_angles + np.pi) * scale[0], (points[triangles, 2] - low) * scale[1]], axis=2)
@@ -77,7 +86,7 @@ def build_range_image(vertices: np.ndarray, triangles: np.ndarray, axis: int) ->
     radius = float(ranges[is_known].mean()) if is_known.any() else 0.0
     lengths = 2.0 * np.pi * radius / size[0], extent / size[1]
     least = np.where(is_known, ranges, np.inf)
-    least = minimum_filter(least, 3, mode=("nearest", "wrap")) - LAYER_TOLERANCE * np.sqrt(lengths[0] * lengths[1])
+    least = minimum_filter(least, 3, mode=("nearest", "wrap")) - TUNING.layer_tolerance * np.sqrt(lengths[0] * lengths[1])
     least = np.where(is_known, least, np.inf).ravel()
     pixels = _pixels_of(points, scale, size, low)
     is_shown = np.hypot(*centroids[:, :2].T) >= least[_pixels_of(centroids, scale, size, low)]
@@ -158,7 +167,7 @@ class RangeFilter:
             return self._sums
         kernels = [_gaussian(sigma, step) for step in self._steps]
         weights = _convolve(self._weights, *kernels)
-        return np.where(weights > MIN_WEIGHT, _convolve(self._sums, *kernels) / np.maximum(weights, MIN_WEIGHT), 0.0)
+        return np.where(weights > TUNING.min_weight, _convolve(self._sums, *kernels) / np.maximum(weights, TUNING.min_weight), 0.0)
 
     def laplacian(self, sigma: float) -> np.ndarray:
         """Return the Laplacian of Gaussian (rows, columns), times the squared standard deviation. A window with unknown samples is
@@ -189,7 +198,7 @@ def find_zero_crossings(values: np.ndarray, is_known: np.ndarray, noise: float) 
 
 def _distances(sigma: float, step: float, least: int) -> np.ndarray:
     """Return the distances (2 t + 1,) of samples from the center of a window, in mean samples; t is at least `least`."""
-    half = max(int(WINDOW * sigma / step + 0.5), least)
+    half = max(int(TUNING.window * sigma / step + 0.5), least)
     return step * np.arange(-half, half + 1)
 
 
@@ -220,7 +229,7 @@ def analyze_range_image(mesh: TexturedMesh, settings: AnalysisSettings) -> Steps
     """
     yield Progress(0.0, "Building the range image")
     image = build_range_image(mesh.vertices, mesh.triangles, "xyz".index(settings.axis))
-    if image.is_known.sum() < MIN_SAMPLES:
+    if image.is_known.sum() < TUNING.min_samples:
         raise GeometryError(
             f"The surface is edge-on to the {settings.axis.upper()} axis, so that it has no range image; choose another axis or analysis."
         )
@@ -235,7 +244,7 @@ def analyze_range_image(mesh: TexturedMesh, settings: AnalysisSettings) -> Steps
         yield Progress(0.1 + 0.85 * scale / SCALES, f"Filtering, scale {scale} of {SCALES - 1}")
         spans.append(_measure_span(filtering, image, sigma))
         if scale:
-            crossings = find_zero_crossings(filtering.laplacian(sigma), image.is_known, ROUNDING * float(image.ranges.max()))
+            crossings = find_zero_crossings(filtering.laplacian(sigma), image.is_known, TUNING.rounding * float(image.ranges.max()))
             pixels.add(scale, *crossings)
     features = LastFeatures(np.where(image.is_seen, pixels.strengths[image.pixels], 0.0))
     features.last_scales = np.where(image.is_seen, pixels.last_scales[image.pixels], 0).astype(np.int8)
@@ -249,7 +258,7 @@ def _search_last_sigma(filtering: RangeFilter, image: RangeImage, convergence: f
     low, high = 0.0, limit
     if _measure_span(filtering, image, high) >= target:
         return high
-    for _ in range(SEARCH_STEPS):
+    for _ in range(TUNING.search_steps):
         center = 0.5 * (low + high)
         low, high = (low, center) if _measure_span(filtering, image, center) < target else (center, high)
     return high
@@ -261,7 +270,7 @@ def _measure_span(filtering: RangeFilter, image: RangeImage, sigma: float) -> fl
 
 
 def _describe_losses(image: RangeImage) -> str:
-    if image.hidden + image.edge_on < MIN_LOSS:
+    if image.hidden + image.edge_on < TUNING.min_loss:
         return ""
     return (
         f"{100.0 * (image.hidden + image.edge_on):.1f}% of the area is not in the range image: {100.0 * image.hidden:.1f}% is behind other "
