@@ -24,7 +24,7 @@ def transform(mesh: TriangleMesh, scale: float = 1.0, rotation: np.ndarray | Non
 
 
 @pytest.mark.parametrize("method", EXACT)
-@pytest.mark.parametrize("power", [-20, 20])
+@pytest.mark.parametrize("power", [-20, pytest.param(20, marks=pytest.mark.exhaustive)])
 def test_scaling_by_powers_of_two_is_exact(power, method):
     """Rounding does not change, so any difference would reveal an absolute length in the code."""
     scale = 2.0**power
@@ -50,7 +50,7 @@ def test_translation_by_integers_is_exact(method):
 
 
 @pytest.mark.parametrize("method", ["clusters", "hough", "decimate"])
-@pytest.mark.parametrize("unit", [1e-6, 1e6])
+@pytest.mark.parametrize("unit", [1e-6, pytest.param(1e6, marks=pytest.mark.exhaustive)])
 def test_scale_of_units_changes_little(unit, method):
     settings, offset = {"method": method, "error": 0.1, "levels": 1}, unit * np.array([3.0, -2.0, 1.0])
     mesh = box(cuts=1) if method == "decimate" else BUMPY  # decimate is slow on curved surfaces
@@ -72,7 +72,11 @@ def test_rotated_box_has_rotated_faces(seed):
     np.testing.assert_allclose(np.sort(np.abs(local), axis=1), np.tile([0.0, 0.0, 1.0], (6, 1)), atol=1e-9)
 
 
-@pytest.mark.parametrize("mesh", [BUMPY, concatenate([BUMPY, transform(leaf_cards(60), 1.5)])], ids=["bumpy", "with leaves"])
+@pytest.mark.parametrize(
+    "mesh",
+    [pytest.param(BUMPY, marks=pytest.mark.exhaustive), concatenate([BUMPY, transform(leaf_cards(60), 1.5)])],
+    ids=["bumpy", "with leaves"],
+)
 def test_rotation_changes_little(mesh):
     """The error is the same length for both, although the bounding boxes differ."""
     rotated = transform(mesh, rotation=random_rotation(1))

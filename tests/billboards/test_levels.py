@@ -65,7 +65,7 @@ def test_owners_are_existing_quads(nested):
         assert len(level.cutouts) == len(level.atlas.rectangles) == len(level.joined) == len(level.solid) == len(level.quads)
 
 
-@pytest.mark.parametrize("method", ["clusters", "hough", "decimate"])
+@pytest.mark.parametrize("method", ["clusters", "hough", pytest.param("decimate", marks=pytest.mark.exhaustive)])
 def test_level_does_not_depend_on_coarser_ones(method):
     mesh = box(cuts=2)
     settings = (BillboardSettings(method=method, error=0.08, levels=levels) for levels in (1, 2))
@@ -80,7 +80,7 @@ def test_level_without_detail_is_one_quad():
     assert len(cloud.levels[2].quads) == 1
 
 
-@pytest.mark.parametrize("method", ["clusters", "hough", "decimate"])
+@pytest.mark.parametrize("method", ["clusters", "hough", pytest.param("decimate", marks=pytest.mark.exhaustive)])
 def test_progress_rises_from_0_to_nearly_1(method):
     steps: list[Progress] = []
     run_to_end(build_cloud(box(cuts=2), BillboardSettings(method=method, error=0.08, levels=2)), steps.append)

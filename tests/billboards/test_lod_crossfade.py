@@ -158,10 +158,10 @@ def test_removing_restores_material_and_properties(scene):
     assert not [key for key in card.keys() if key.startswith("farfield")] and not card.animation_data.drivers  # noqa: SIM118
 
 
-def build_ball_cloud(name: str = "Bällchen"):
+def build_ball_cloud(**settings):
     """Build a cloud with two levels from a red ball."""
-    ball = blender_scenes.ball(name, emissive(RED))
-    bpy.ops.farfield.billboards_build(levels=2, error=4.0, samples=1)
+    ball = blender_scenes.ball("Bällchen", emissive(RED))
+    bpy.ops.farfield.billboards_build(**{"levels": 2, "error": 6.0, "samples": 1, **settings})
     return ball, clouds_in(bpy.context.scene)[0]
 
 
@@ -201,7 +201,7 @@ def test_every_face_of_a_proxy_keeps_its_material(scene):
 
 
 def test_coverage_is_preserved_while_fading(scene):
-    _, cloud = build_ball_cloud()
+    _, cloud = build_ball_cloud(error=4.0)
     bpy.ops.farfield.billboards_crossfade(fade_range=100.0)
     scene.camera.data.type = "ORTHO"
     areas = []
@@ -231,7 +231,7 @@ def test_collection_instances_get_one_proxy_per_object(scene):
 
 
 def test_cloud_without_source_fades_between_its_levels(scene):
-    ball, cloud = build_ball_cloud()
+    ball, cloud = build_ball_cloud(textures=False)
     bpy.data.objects.remove(ball)
     bpy.ops.farfield.billboards_crossfade()
     assert not source_objects.find_source_proxies(cloud.collection)
@@ -239,7 +239,7 @@ def test_cloud_without_source_fades_between_its_levels(scene):
 
 
 def test_poll_needs_a_camera(scene):
-    build_ball_cloud()
+    build_ball_cloud(textures=False)
     scene.camera = None
     assert not bpy.ops.farfield.billboards_crossfade.poll()
 

@@ -94,7 +94,8 @@ def test_cross_fade_needs_camera_and_blend_output(cube):
     bpy.ops.wm.save_as_mainfile(filepath=str(with_camera))
     with pytest.raises(FileError, match=r"end in \.blend"):
         main(with_camera, "--out", cube.with_name("out.glb"), "--cross-fade")
-    main(with_camera, "--out", out, "--levels", "2", "--samples", "1", "--cross-fade", "--fade-range", "50%")
+    flags = ("--levels", "2", "--error", "5%", "--samples", "1", "--cross-fade", "--fade-range", "50%")
+    main(with_camera, "--out", out, *flags)
     bpy.ops.wm.open_mainfile(filepath=str(out))
     assert [level[CROSSFADE][2] for level in cloud_levels()] == [0.5, 0.5]
     assert not any(level.hide_render for level in cloud_levels())
@@ -126,7 +127,7 @@ def test_invalid_input_and_unknown_flags_are_one_line_and_code_2(cube):
 def test_cancelling_is_code_130_and_leaves_no_files(cube):
     out = cube.with_name("out.blend")
     process = subprocess.Popen(
-        [sys.executable, "-u", str(SCRIPT), str(cube), "--out", str(out), "--error", "1%", "--samples", "16", "--verbose"],
+        [sys.executable, "-u", str(SCRIPT), str(cube), "--out", str(out), "--error", "2%", "--samples", "4", "--verbose"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
