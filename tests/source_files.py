@@ -95,10 +95,11 @@ def words_of(name: str) -> list[str]:
 
 
 def fields_of(node: ast.ClassDef) -> list[str]:
-    """The public fields of a data class or a named tuple. None of settings, whose help texts describe them, and of `Tuning`, the numbers of
-    a method with a comment for each."""
-    fields = [item.target.id for item in node.body if isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name)]
+    """The public fields of a data class or a named tuple. None of settings, whose help texts describe them, and of the numbers of a method,
+    which all have a value and a comment where they need one."""
+    items = [item for item in node.body if isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name)]
     bases = [ast.unparse(base) for base in node.bases]
     is_data = any("dataclass" in ast.unparse(item) for item in node.decorator_list) or "NamedTuple" in bases
-    describes_itself = node.name == "Tuning" or any(base.endswith("Settings") for base in bases)
-    return [name for name in fields if not name.startswith("_")] if is_data and not describes_itself else []
+    are_numbers = all(isinstance(item.value, ast.Constant | ast.BinOp | ast.UnaryOp | ast.Tuple) for item in items)
+    describes_itself = are_numbers or any(base.endswith("Settings") for base in bases)
+    return [item.target.id for item in items if not item.target.id.startswith("_")] if is_data and not describes_itself else []

@@ -49,13 +49,6 @@ MACHINE_PATH = re.compile(r"(?<![\w.~/])/(?:home|root|Users|tmp|work)/\w")
 FRAGMENT = re.compile(r"(?:^|\s)#\s*of\b")  # a comment that begins with "of" is no sentence
 MIN_LISTED_FIELDS = 5
 
-# The areas that do not follow the newest rules yet: lists of fields, comments that are sentences, and NEWLY_RETIRED.
-NOT_YET = (
-    *("addon/bridge/packages", "addon/bridge/texmesh", "addon/core/packages", "addon/core/texmesh", "addon/operators/packages"),
-    *("addon/operators/texmesh", "addon/core/unwrap/multiresolution", "tests/glb_reader", "tests/packages", "tests/texmesh"),
-    *(f"benchmarks/{name}" for name in ("packages_", "photos_", "restore_", "sending", "texmesh_", "bench_texmesh")),
-)
-NEWLY_RETIRED = {"beside", "hear", "hears", "owe", "owes"}
 Rule = Callable[["SourceFile"], Iterator[str]]
 RULES: dict[str, Rule] = {}
 
@@ -63,10 +56,6 @@ RULES: dict[str, Rule] = {}
 def tool_of(parts: tuple[str, ...]) -> str | None:
     """The tool that a module of any layer belongs to, None for a shared module."""
     return parts[1] if len(parts) > 1 and parts[1] in TOOLS else None
-
-
-def follows_all_rules(file: SourceFile) -> bool:
-    return not file.name.startswith(NOT_YET)
 
 
 @cache
@@ -160,28 +149,26 @@ def operators_report_their_errors(file: SourceFile) -> Iterator[str]:
 
 @rule
 def identifiers_are_standard_terms(file: SourceFile) -> Iterator[str]:
-    retired = RETIRED_IN_IDENTIFIERS if follows_all_rules(file) else RETIRED_IN_IDENTIFIERS - NEWLY_RETIRED
     if file.is_python:
-        return (f"{line}: {name}" for line, name in identifiers(file) if not retired.isdisjoint(words_of(name)))
+        return (f"{line}: {name}" for line, name in identifiers(file) if not RETIRED_IN_IDENTIFIERS.isdisjoint(words_of(name)))
     return iter(())
 
 
 @rule
 def text_is_modern_english(file: SourceFile) -> Iterator[str]:
-    ignored = set() if follows_all_rules(file) else NEWLY_RETIRED
     if file.path.suffix in {".py", ".md", ".toml"} and file.path != Path(__file__):
-        return file.matching_lines(lambda line: {word.lower() for word in RETIRED_IN_TEXT.findall(line)} - ignored)
+        return file.matching_lines(RETIRED_IN_TEXT.search)
     return iter(())
 
 
 @rule
 def comments_are_sentences(file: SourceFile) -> Iterator[str]:
-    return file.matching_lines(FRAGMENT.search) if file.is_python and follows_all_rules(file) else iter(())
+    return file.matching_lines(FRAGMENT.search) if file.is_python else iter(())
 
 
 @addon_rule
 def classes_list_their_fields(file: SourceFile) -> Iterator[str]:
-    for node in file.all(ast.ClassDef) if follows_all_rules(file) else ():
+    for node in file.all(ast.ClassDef):
         fields = fields_of(node)
         if len(fields) >= MIN_LISTED_FIELDS:
             text = ast.get_docstring(node) or ""
@@ -233,8 +220,7 @@ EXAMPLES = {  # a file, a line that may stand in it, and one that violates the r
 
 
 @pytest.mark.parametrize("name", RULES)
-def test_rule_tells_right_from_wrong(name, monkeypatch):
-    monkeypatch.setitem(globals(), "NOT_YET", ("nowhere",))
+def test_rule_tells_right_from_wrong(name):
     path, right, wrong = EXAMPLES[name]
     found = [list(RULES[name](SourceFile(ROOT / path, text))) for text in (right, wrong)]
     assert [bool(places) for places in found] == [False, True]
