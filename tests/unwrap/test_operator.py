@@ -147,7 +147,7 @@ def test_a_painted_vertex_group_gets_more_texels():
 
 @pytest.mark.parametrize("importance", ["camera", "cameras"])
 def test_faces_visible_to_the_camera_get_more_texels(importance):
-    item = add_sphere(segments=32, rings=16)
+    item = add_sphere(segments=24, rings=12)
     bpy.ops.object.camera_add(location=(0.0, 0.0, 8.0), rotation=(0.0, 0.0, 0.0))
     bpy.context.scene.camera = bpy.context.object
     item.select_set(True)

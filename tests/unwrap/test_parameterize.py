@@ -75,7 +75,7 @@ def test_the_quality_limit_is_met_for_little_stretch():
     assert l2_stretch(chart, limited) < 1.08 * l2_stretch(chart, unlimited)
 
 
-@pytest.mark.parametrize("ratio", [2.0, 4.0])
+@pytest.mark.parametrize("ratio", [pytest.param(2.0, marks=pytest.mark.exhaustive), 4.0])
 def test_the_requested_density_ratio_is_reached(ratio):
     mesh = dome(20)
     is_top = mesh.vertices[mesh.triangles].mean(axis=1)[:, 2] > 0.3

@@ -134,8 +134,8 @@ def least_axis(primitives: Primitives, members: np.ndarray) -> np.ndarray:
 class TestRounds:
     """Rounds of mutual best pairs."""
 
-    @pytest.mark.parametrize(("error", "level"), [(0.02, 0), (0.05, 0), (0.02, 2)])
-    @pytest.mark.parametrize("mesh", [sphere(12), bumpy_sphere(11)], ids=["sphere", "bumpy"])
+    @pytest.mark.parametrize(("error", "level"), [(0.02, 0), pytest.param(0.05, 0, marks=pytest.mark.exhaustive), (0.02, 2)])
+    @pytest.mark.parametrize("mesh", [pytest.param(sphere(12), marks=pytest.mark.exhaustive), bumpy_sphere(11)], ids=["sphere", "bumpy"])
     def test_rounds_are_about_as_good_as_one_pair_at_a_time(self, mesh, error, level):
         primitives = from_mesh(mesh)
         bounds = ClusterBounds(error, SIXTY, 8.0)

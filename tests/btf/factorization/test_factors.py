@@ -31,7 +31,7 @@ def relative_error(values: np.ndarray, factors) -> float:
     return float(np.linalg.norm(reconstruction - values) / np.linalg.norm(values))
 
 
-@pytest.mark.parametrize("fraction", [1.0, 0.6])
+@pytest.mark.parametrize("fraction", [pytest.param(1.0, marks=pytest.mark.exhaustive), 0.6])
 def test_unknown_entries_of_low_rank_matrices_are_recovered(fraction):
     values = low_rank(3)
     assert relative_error(values, fit(values, fraction, 3)) < 0.02
@@ -46,7 +46,7 @@ def test_factors_of_a_fully_known_matrix_are_as_good_as_the_svd():
     assert relative_error(values, fit(values, 1.0, 4)) <= 1.03 * best
 
 
-@pytest.mark.parametrize("fraction", [1.0, 0.6])
+@pytest.mark.parametrize("fraction", [pytest.param(1.0, marks=pytest.mark.exhaustive), 0.6])
 def test_sampling_rows_hardly_increases_the_error(fraction, monkeypatch):
     random = np.random.default_rng(5)
     values = low_rank(3, rows=2000) + 0.3 * random.normal(size=(10, 2000, 12)).astype(np.float32)
