@@ -3,9 +3,10 @@
 import pytest
 
 from farfield.addon.core.photos import merging
+from farfield.addon.core.photos.registration import refinement
 from farfield.addon.core.photos.texels import pages
 
-OBSERVED_POINTS = 6_000
+OBSERVED_POINTS, EXPOSURE_POINTS = 6_000, 4_000
 OVERLAP_SIZE = 256
 
 
@@ -15,5 +16,6 @@ def quick_merges():
     photographs and textures of tests."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(merging, "POINTS", OBSERVED_POINTS)
+        patch.setattr(refinement, "EXPOSURE_POINTS", EXPOSURE_POINTS)
         patch.setattr(pages, "OVERLAP_SIZE", OVERLAP_SIZE)
         yield

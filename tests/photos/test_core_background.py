@@ -1,6 +1,7 @@
 """Background: its color is not used where a photograph does not fit to the mesh, and the rest of the photograph is."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -35,15 +36,23 @@ def backdrop(kind, shape, seed=0):
     return np.clip(image + random.normal(scale=0.005, size=image.shape), 0.0, 1.0)
 
 
-def shoot(kind, count=2, shift=4.0, texture=None):
-    """Photographs in front of a background, with cameras that are wrong by `shift` pixels, and the pixels that show the mesh."""
+@cache
+def take_photograph(index):
+    """A photograph of the dome from one of two sides, and the pixels that show it."""
+    mesh, uvs = dome()
+    camera = camera_at((3.0 - 6.0 * index, 0.0, 1.5), name=f"{index}.png", focal=320.0)
+    return photograph(mesh, uvs, smooth_texture(), camera), find_covered(mesh, camera)
+
+
+def shoot(kind, shift=4.0, texture=None):
+    """Two photographs in front of a background, with cameras that are wrong by `shift` pixels, and the pixels that show the mesh."""
     mesh, uvs = dome()
     photographs, shown = [], []
-    for index in range(count):
-        angle = 2.0 * np.pi * index / count
-        camera = camera_at((3.0 * np.cos(angle), 3.0 * np.sin(angle), 1.5), name=f"{index}.png", focal=320.0)
-        taken = photograph(mesh, uvs, smooth_texture() if texture is None else texture, camera)
-        covered = find_covered(mesh, camera)
+    for index in range(2):
+        taken, covered = take_photograph(index)
+        camera = taken.camera
+        if texture is not None:
+            taken = photograph(mesh, uvs, texture, camera)
         image = np.where(covered[..., None], taken.pixels / 255.0, backdrop(kind, covered.shape, index))
         lens = replace(camera.lens, center=(camera.lens.center[0] + shift, camera.lens.center[1] - shift))
         photographs.append(Photograph(replace(camera, lens=lens), np.rint(255.0 * image).astype(np.uint8)))

@@ -35,7 +35,7 @@ def merge_best(mesh, uvs, photographs, blending):
 @pytest.fixture(scope="module")
 def two_photographs(quick_merges):
     """A gray square, a dark photograph of its left half and a bright one of its right half, and the step between them in a texture."""
-    mesh, uvs = grid(60)
+    mesh, uvs = grid(40)
     gray = np.full((SIZE, SIZE, 3), 0.5, np.float32)
     cameras = [camera_at((x, 0.0, 3.0), (x, 0.0, 0.0), name=f"{x}.png") for x in (-0.7, 0.7)]
     photographs = [photograph(mesh, uvs, gray, camera, gain) for camera, gain in zip(cameras, (0.8, 1.25), strict=True)]

@@ -35,7 +35,7 @@ def test_highlights_that_move_with_the_camera_fade():
     mesh, uvs = grid(12)
     texture = 0.5 * smooth_texture()
     photographs = [add_highlight(photograph(mesh, uvs, texture, camera), 0.5 * camera.position[:2]) for camera in ring(4)]
-    errors = [error(photographs, texture, reduce_highlights=highlights) for highlights in (False, True)]
+    errors = [error(photographs, texture, highlights=highlights) for highlights in (False, True)]
     assert errors[1] < 0.7 * errors[0]
 
 
@@ -43,7 +43,7 @@ def test_matte_surfaces_stay():
     mesh, uvs = grid(12)
     texture = smooth_texture()
     photographs = [photograph(mesh, uvs, texture, camera) for camera in ring(4)]
-    errors = [error(photographs, texture, reduce_highlights=highlights) for highlights in (False, True)]
+    errors = [error(photographs, texture, highlights=highlights) for highlights in (False, True)]
     assert errors[1] < 1.02 * errors[0]
 
 

@@ -220,7 +220,7 @@ class TestExposure:
 class TestFaces:
     """Triangles that a photograph shows completely or not at all."""
 
-    @settings(max_examples=5, deadline=None)
+    @settings(max_examples=3, deadline=None)
     @given(st.integers(0, 2**31))
     def test_decisions_by_triangle_agree_with_those_by_texel(self, seed):
         random = np.random.default_rng(seed)

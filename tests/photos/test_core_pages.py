@@ -91,7 +91,12 @@ class TestMerge:
     """Whole merges with two pages."""
 
     @pytest.mark.parametrize(
-        ("method", "fill"), [("best", "interpolate"), ("average", "none"), pytest.param("paper", "restore", marks=pytest.mark.exhaustive)]
+        ("method", "fill"),
+        [
+            ("best", "interpolate"),
+            pytest.param("average", "none", marks=pytest.mark.exhaustive),
+            pytest.param("paper", "restore", marks=pytest.mark.exhaustive),
+        ],
     )
     def test_pages_equal_the_islands_of_one_page(self, method, fill):
         """Texel for texel, also where a photograph is masked."""

@@ -111,6 +111,7 @@ class TestRefine:
         back = [replace(each.camera, translation=each.camera.translation + each.camera.rotation @ place) for each in found]
         assert np.mean([distance_in_pixels(mesh, camera, right) for camera, right in zip(back, truth, strict=True)]) < 0.7 * np.mean(errors)
 
+    @pytest.mark.exhaustive
     def test_cameras_that_fit_are_left_as_they_are(self):
         mesh, _, photographs = shoot()
         [found] = run_refine(mesh, photographs, [0])
@@ -154,6 +155,7 @@ class TestAlignment:
         result = run_to_end(merge(mesh, uvs, photographs, PhotosSettings(size=2 * SIZE, alignment=alignment, sharpen=False)))
         return float(np.sqrt(np.mean((result.colors - texture)[result.source >= 0] ** 2)))
 
+    @pytest.mark.exhaustive
     def test_perfect_photographs_give_the_same_texture(self):
         mesh, uvs, photographs = shoot(3)
         texture = detailed_texture()

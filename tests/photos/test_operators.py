@@ -1,5 +1,7 @@
 """The operators as scripts call them: importing cameras, and merging photographs into a texture with a material."""
 
+from functools import cache
+
 import bpy
 import numpy as np
 import pytest
@@ -53,20 +55,25 @@ def add_mesh(name="Wand ü", corner_uvs=True, offset=0.0):
     return item, mesh, uvs
 
 
-def write_photographs(folder, cameras):
-    """Write the photographs of the wavy square; returns them."""
+@cache
+def take_photographs():
+    """The photographs of the wavy square by a ring of three cameras."""
     mesh, uvs = grid(10, height)
+    return [photograph(mesh, uvs, smooth_texture(), camera) for camera in ring(3)]
+
+
+def write_photographs(folder):
+    """Write the photographs of the wavy square; returns them."""
     folder.mkdir(parents=True, exist_ok=True)
-    photographs = [photograph(mesh, uvs, smooth_texture(), camera) for camera in cameras]
-    for each in photographs:
+    for each in take_photographs():
         write_image(folder / each.camera.name, each.pixels[::-1])
-    return photographs
+    return take_photographs()
 
 
 @pytest.fixture
 def photographs(tmp_path):
     """Three photographs, and cameras in the scene with them."""
-    found = write_photographs(tmp_path / "été", ring(3))
+    found = write_photographs(tmp_path / "été")
     create_cameras([each.camera for each in found], tmp_path / "été", "Cameras", bpy.context.scene, is_y_up=False)
     return found
 
@@ -75,7 +82,7 @@ def photographs(tmp_path):
 def project(tmp_path):
     """A folder like that of COLMAP."""
     folder = tmp_path / "Projekt 樹"
-    write_photographs(folder / "images", ring(3))
+    write_photographs(folder / "images")
     (folder / "sparse").mkdir()
     write_cameras(folder / "sparse" / "0", ring(3))
     return folder

@@ -1,5 +1,7 @@
 """*Merge* with UDIM tiles and several materials."""
 
+from functools import cache
+
 import bpy
 import numpy as np
 import pytest
@@ -14,11 +16,17 @@ from photo_scenes import SIZE, grid, photograph, ring, smooth_texture
 pytestmark = pytest.mark.usefixtures("empty_scene", "quick_merges")
 
 
+@cache
+def take_photographs():
+    """The photographs of the square of `add_square` by a ring of three cameras."""
+    mesh, uvs = grid(10)
+    return [photograph(mesh, uvs, smooth_texture(), camera) for camera in ring(3)]
+
+
 @pytest.fixture
 def photographs(tmp_path):
     """Cameras in the scene with photographs of the square of `add_square`."""
-    mesh, uvs = grid(10)
-    found = [photograph(mesh, uvs, smooth_texture(), camera) for camera in ring(3)]
+    found = take_photographs()
     for each in found:
         write_image(tmp_path / each.camera.name, each.pixels[::-1])
     create_cameras([each.camera for each in found], tmp_path, "Cameras", bpy.context.scene, is_y_up=False)

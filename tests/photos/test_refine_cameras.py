@@ -1,6 +1,7 @@
 """*Refine*: camera objects move so that their photographs fit to the others."""
 
 from dataclasses import replace
+from functools import cache
 
 import bpy
 import numpy as np
@@ -12,23 +13,29 @@ from farfield.addon.bridge.photos.scene_cameras import read_lens, read_photo_cam
 from image_data import write_image
 from photo_scenes import detailed_texture, distance_in_pixels, grid, photograph, ring
 
-pytestmark = pytest.mark.usefixtures("empty_scene")
+pytestmark = pytest.mark.usefixtures("empty_scene", "quick_merges")
 
 
 def height(x, y):
     return 0.15 * np.sin(2 * x) * np.cos(3 * y)
 
 
+@cache
+def take_photographs():
+    """The photographs of the mesh by a ring of four cameras."""
+    mesh, uvs = grid(20, height)
+    return [photograph(mesh, uvs, detailed_texture(), camera) for camera in ring(4)]
+
+
 @pytest.fixture
 def scene(tmp_path):
     """A mesh, and four cameras with photographs below an Empty that is turned and scaled with the mesh."""
-    mesh, uvs = grid(20, height)
+    mesh, _ = grid(20, height)
     folder = tmp_path / "été"
     folder.mkdir()
-    cameras = ring(4)
-    for camera in cameras:
-        write_image(folder / camera.name, photograph(mesh, uvs, detailed_texture(), camera).pixels[::-1])
-    parent, _ = create_cameras(cameras, folder, "Cameras", bpy.context.scene, is_y_up=False)
+    for each in take_photographs():
+        write_image(folder / each.camera.name, each.pixels[::-1])
+    parent, _ = create_cameras([each.camera for each in take_photographs()], folder, "Cameras", bpy.context.scene, is_y_up=False)
     data = bpy.data.meshes.new("Wand ü")
     data.from_pydata(mesh.vertices.tolist(), [], mesh.triangles.tolist())
     item = bpy.data.objects.new("Wand ü", data)

@@ -1,6 +1,7 @@
 """`scripts/photos.py` with UDIM tiles and several materials: a file for each page."""
 
 import json
+from functools import cache
 
 import bpy
 import numpy as np
@@ -38,17 +39,23 @@ def write_obj(path, offset, materials=False):
     return path
 
 
+@cache
+def take_photographs():
+    """The photographs of the square by a ring of three cameras."""
+    mesh, uvs = grid(10)
+    return [photograph(mesh, uvs, smooth_texture(), camera) for camera in ring(3)]
+
+
 @pytest.fixture
 def inputs(tmp_path):
     """The arguments behind the mesh."""
-    mesh, uvs = grid(10)
     cameras, lines = ring(3), []
     (tmp_path / "images").mkdir(), (tmp_path / "cameras").mkdir()
     lens = cameras[0].lens
     text = f"1 SIMPLE_PINHOLE {lens.size[0]} {lens.size[1]} {lens.focal[0]} {lens.center[0]} {lens.center[1]}\n"
     (tmp_path / "cameras" / "cameras.txt").write_text(text, encoding="utf-8")
-    for index, camera in enumerate(cameras, start=1):
-        write_image(tmp_path / "images" / camera.name, photograph(mesh, uvs, smooth_texture(), camera).pixels[::-1])
+    for index, (camera, each) in enumerate(zip(cameras, take_photographs(), strict=True), start=1):
+        write_image(tmp_path / "images" / camera.name, each.pixels[::-1])
         r = camera.rotation
         w = 0.5 * np.sqrt(max(1.0 + np.trace(r), 1e-12))
         quaternion = (w, (r[2, 1] - r[1, 2]) / (4 * w), (r[0, 2] - r[2, 0]) / (4 * w), (r[1, 0] - r[0, 1]) / (4 * w))

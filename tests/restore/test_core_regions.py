@@ -171,7 +171,7 @@ class TestFilling:
         sources = levels[0].source[levels[0].hole]
         assert found and found[0].any() and levels[0].valid[sources].all()
 
-    @pytest.mark.parametrize("count", [1, 30])
+    @pytest.mark.parametrize("count", [pytest.param(1, marks=pytest.mark.exhaustive), 30])
     def test_holes_of_a_texture_keep_its_distribution(self, count):
         random = np.random.default_rng(8)
         image = gaussian_filter(random.random((220, 230, 1)), (0.8, 2.5, 0)).astype(np.float32)

@@ -97,13 +97,10 @@ class TestKnownAnswers:
         mask = disk((140, 160), 26)
         damaged, errors, contrasts = np.where(mask[..., None], np.float32(0.0), image), {}, {}
         for name, values in (("auto", {}), ("synthesis", TEXTURE_ONLY), ("diffusion", {"split": "diffusion"})):
-            seeds = range(1 if name == "diffusion" else 2)
-            results = [run(damaged, mask, seed=seed, method="pixels", **values) for seed in seeds]
-            smooth = [gaussian_filter((result.pixels - image)[..., 0], 6.0)[mask] for result in results]
-            errors[name] = np.sqrt(np.mean(np.square(smooth)))
-            detail = [(result.pixels[..., 0] - gaussian_filter(result.pixels[..., 0], 3.0))[mask] for result in results]
-            contrasts[name] = np.std(detail)
-            assert name != "auto" or all(result.kappa > 0 for result in results)
+            result = run(damaged, mask, method="pixels", **values)
+            errors[name] = np.sqrt(np.mean(np.square(gaussian_filter((result.pixels - image)[..., 0], 6.0)[mask])))
+            contrasts[name] = (result.pixels[..., 0] - gaussian_filter(result.pixels[..., 0], 3.0))[mask].std()
+            assert name != "auto" or result.kappa > 0
         truth = (image[..., 0] - gaussian_filter(image[..., 0], 3.0))[mask].std()
         assert errors["auto"] < 0.7 * errors["synthesis"]
         assert contrasts["auto"] == pytest.approx(truth, rel=0.2) and contrasts["diffusion"] < 0.3 * truth
@@ -141,7 +138,7 @@ class TestKnownAnswers:
 class TestInvariants:
     """What holds for every image."""
 
-    @settings(max_examples=8)
+    @settings(max_examples=5)
     @given(st.integers(0, 2**31), st.sampled_from(ALL_METHODS), st.integers(1, 5), st.booleans(), st.integers(1, 4))
     def test_known_pixels_stay_and_others_are_within_their_range(self, seed, method_and_order, levels, tileable, channels):
         method, order = method_and_order
@@ -155,7 +152,9 @@ class TestInvariants:
         assert (result.pixels[~mask] == image[~mask]).all() and np.isfinite(result.pixels).all()
         assert (result.pixels[mask] >= image[~mask].min(axis=0)).all() and (result.pixels[mask] <= image[~mask].max(axis=0)).all()
 
-    @pytest.mark.parametrize(("method", "side", "radius"), [("regions", 260, 20), ("pixels", 140, 10)])
+    @pytest.mark.parametrize(
+        ("method", "side", "radius"), [("regions", 260, 20), pytest.param("pixels", 140, 10, marks=pytest.mark.exhaustive)]
+    )
     def test_only_equal_seeds_give_equal_bytes(self, method, side, radius):
         image, mask = gaussian_filter(noise((side, side)), (2.0, 2.0, 0.0)), disk((side, side), radius)
         first, again, other = (run(image, mask, seed=seed, method=method, **TEXTURE_ONLY).pixels.tobytes() for seed in (5, 5, 6))
@@ -171,6 +170,7 @@ class TestInvariants:
         total = np.clip(stages["low_filled"] + stages["high_filled"], image[~mask].min(axis=0), image[~mask].max(axis=0))
         assert np.allclose(total, result.pixels, atol=1e-4)
 
+    @pytest.mark.exhaustive
     @pytest.mark.parametrize("method", METHODS)
     def test_only_the_source_mask_is_copied(self, method):
         image, mask = noise((84, 168)), disk((84, 168), 31, (42, 42))
@@ -184,7 +184,7 @@ class TestInvariants:
         red = run(image, mask, source_mask=~source_mask, pyramid_levels=1, method=method, **TEXTURE_ONLY).pixels[inside]
         assert red[:, 0].mean() > 0.3 > 0.1 > red[:, 2].mean()
 
-    @pytest.mark.parametrize("order", ORDERS)
+    @pytest.mark.parametrize("order", ["shrinking", "scanline", pytest.param("alternating", marks=pytest.mark.exhaustive)])
     def test_every_synthesized_pixel_is_a_copy_from_outside_the_hole(self, order):
         image, hole = noise((64, 80)), disk((64, 80), 12)
         levels = build_levels([Page(np.where(hole[..., None], np.float32(0.0), image), hole, ~hole, ~hole)], 3)
@@ -224,8 +224,8 @@ class TestInvariants:
         assert np.array_equal(levels[0].page(0), expected)
 
     def test_far_holes_do_not_change_each_other(self):
-        image = noise((200, 500))
-        first, second = disk((200, 500), 8, (100, 70)), disk((200, 500), 8, (90, 420))
+        image = noise((140, 360))
+        first, second = disk((140, 360), 8, (70, 70)), disk((140, 360), 8, (60, 290))
         both = run(image, first | second, **TEXTURE_ONLY)
         assert both.hole_count == 2 and run(image, first, **TEXTURE_ONLY).hole_count == 1
         assert both.pixels[first].std() == pytest.approx(image.std(), rel=0.25)
