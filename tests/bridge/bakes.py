@@ -68,9 +68,13 @@ def build_cloud(source: bpy.types.Object, **settings: Any) -> SceneCloud:
     return clouds_in(bpy.context.scene)[0]
 
 
-@cache
 def finished_views_of_small_cloud(model: str = SMALL["model"]) -> Path:
     """Return a work folder with all finished views of a bake of the small cloud, captured in this process. Each process does it once."""
+    return _capture_small_cloud(model)
+
+
+@cache  # which would tell the default of the model from the same model given
+def _capture_small_cloud(model: str) -> Path:
     folder = Path(tempfile.mkdtemp(prefix="farfield-small-bake-"))
     settings = BtfSettings(**SMALL | {"model": model}, executor="serial")
     job = prepare_bake(bpy.context, build_small_cloud(), settings, folder, keep_finished_views=True)
