@@ -27,7 +27,7 @@ from .outliers import FineSurface, measure_distances
 
 
 @dataclass(frozen=True)
-class RefitTuning:
+class Tuning:
     """The numbers of the optimization of a level."""
 
     iterations: int = 12  # Moves of vertices and texture coordinates; large levels get fewer.
@@ -56,7 +56,7 @@ class RefitTuning:
     simplification_fraction: float = 0.1  # The part of the progress that is the simplification.
 
 
-TUNING = RefitTuning()
+TUNING = Tuning()
 
 
 def make_starts(fine: TexturedMesh, targets: list[int], settings: TexmeshSettings) -> Steps[tuple[SubsetLevel, ...]]:
