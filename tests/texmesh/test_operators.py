@@ -7,6 +7,8 @@ import pytest
 from farfield.addon.bridge.lod_crossfade import CROSSFADE
 from farfield.addon.bridge.texmesh.level_sets import ERROR, level_sets_in
 from farfield.addon.bridge.texmesh.scale_attributes import SCALE_ATTRIBUTE, read_scales
+from farfield.addon.core.texmesh import TexmeshSettings
+from farfield.addon.operators import properties
 from textured_scenes import textured_ball
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
@@ -136,3 +138,14 @@ def test_nothing_that_can_be_simplified_is_refused():
     with pytest.raises(RuntimeError, match='"Plane" has only 2 triangles; levels need at least 8'):
         bpy.ops.farfield.texmesh_levels(**SMALL)
     assert not level_sets_in(bpy.context.scene) and not bpy.context.object.hide_render
+
+
+def test_presets_set_all_research_controls_and_no_others():
+    group = bpy.context.scene.farfield_texmesh
+    group.noise, group.views, group.number = 2.0, 3, 5
+    assert bpy.ops.farfield.texmesh_preset(preset="paper") == {"FINISHED"}
+    found = properties.read(TexmeshSettings, group)
+    assert (found.analysis, found.spacing, found.removal_order, found.protected_fraction) == ("range_image", 0.0, "scale", 0.0)
+    assert found.noise == TexmeshSettings.noise and found.views == TexmeshSettings.views and found.number == 5
+    bpy.ops.farfield.texmesh_preset(preset="default")
+    assert properties.read(TexmeshSettings, group) == TexmeshSettings(number=5)
