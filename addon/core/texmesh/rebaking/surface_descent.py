@@ -13,7 +13,7 @@ from ...geometry.mesh import face_areas_and_normals, longest_side
 
 ON_EDGE = 1e-9  # barycentric coordinate below which a point is on an edge
 RELATIVE_PRECISION = 1e-9  # Precision of distances, relative to the longest side of the surface.
-MAX_STEPS = 400  # triangles that are passed
+MAX_STEPS = 400  # triangles that a descent crosses
 
 
 class SurfaceDescent:
