@@ -73,7 +73,7 @@ class FARFIELD_PG_packages(bpy.types.PropertyGroup):
 
 
 class FARFIELD_OT_packages_export(start_job.StartJob, bpy.types.Operator):
-    """Write the selected objects as packages of files for any web server, with a page that shows them within a time limit on any line"""
+    """Write the selected objects as packages of files for any web server, with a page that shows them within a time limit"""
 
     bl_idname = "farfield.packages_export"
     bl_label = "Export Package of Perceptual Levels"
