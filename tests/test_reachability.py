@@ -34,6 +34,7 @@ def free_trees() -> Iterator[None]:
     parse.cache_clear()
 
 
+@cache  # the same modules are imported a thousand times
 def module_file(parts: tuple[str, ...]) -> Path | None:
     """The file of a module of the checkout or of `scripts`; None if `parts` name none."""
     for folder in (ROOT, SCRIPTS):

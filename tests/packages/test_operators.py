@@ -33,11 +33,12 @@ def run(*arguments):
 
 
 @pytest.fixture(scope="module")
-def package(extension, tmp_path_factory):
-    """The folder of the package of a scaled and moved ball, whose export has left the scene as it was."""
+def two_packages(extension, tmp_path_factory):
+    """The folder with the packages of two equal scaled and moved balls, whose export has left the scene as it was."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    ball = textured_ball(8)
-    ball.scale, ball.location = (1.0, 2.0, 3.0), (7.0, 0.0, 0.0)
+    for ball in (textured_ball(8, "Bäll/chen"), textured_ball(8, "Bäll:chen")):
+        ball.scale, ball.location = (1.0, 2.0, 3.0), (7.0, 0.0, 0.0)
+        ball.select_set(True)
     bpy.context.view_layer.update()
     before = len(bpy.data.objects), len(bpy.data.meshes), len(bpy.data.images)
     folder, mirrors = tmp_path_factory.mktemp("package") / "été à la mer", "https://example.org/a, http://example.org/b/"
@@ -46,11 +47,17 @@ def package(extension, tmp_path_factory):
     return folder
 
 
+@pytest.fixture(scope="module")
+def package(two_packages):
+    """The folder of one of the packages."""
+    return two_packages / "Bäll_chen"
+
+
 def test_a_package_of_an_object(package):
     assert {path.name for path in package.iterdir()} == {MANIFEST, MESH, TEXTURES, LEVELS_GLB, *read_page()}
     content = read_package(package)
     manifest = content.manifest
-    assert manifest.name == "Bällchen" and len(manifest.levels) == 3
+    assert manifest.name == "Bäll/chen" and len(manifest.levels) == 3
     assert manifest.mirrors == ("https://example.org/a/", "http://example.org/b/")
     finest = decode_level(content.mesh, manifest, 2)
     positions = dequantize(finest.positions, manifest.bounds, manifest.steps[0])
@@ -72,16 +79,12 @@ def test_axes_are_those_of_gltf(package):
     assert len(scene.meshes) == 3 and corners.max(axis=0).argmax() == 1
 
 
-def test_several_objects_have_folders_and_equal_ones_the_same_bytes(folder):
-    first, second = textured_ball(6, "a/b"), textured_ball(6, "a:b")
-    for item in (first, second):
-        item.select_set(True)
-    bpy.ops.farfield.packages_export(folder=str(folder), gltf_file=False, **SMALL)
-    assert sorted(path.name for path in folder.iterdir()) == ["a_b", "a_b_2"]
-    assert [read_package(path).manifest.name for path in sorted(folder.iterdir())] == ["a/b", "a:b"]
-    assert not (folder / "a_b" / LEVELS_GLB).exists()
+def test_several_objects_have_folders_and_equal_ones_the_same_bytes(two_packages):
+    first, second = sorted(two_packages.iterdir())
+    assert [first.name, second.name] == ["Bäll_chen", "Bäll_chen_2"]
+    assert [read_package(path).manifest.name for path in (first, second)] == ["Bäll/chen", "Bäll:chen"]
     for name in (MESH, TEXTURES):
-        assert (folder / "a_b" / name).read_bytes() == (folder / "a_b_2" / name).read_bytes()
+        assert (first / name).read_bytes() == (second / name).read_bytes()
 
 
 def test_a_folder_is_needed():
@@ -102,9 +105,10 @@ def test_script_builds_and_verifies(folder):
     scene = folder.parent / "bällchen.blend"
     scene.parent.mkdir(parents=True)
     scene_files.save_scene(scene)
-    summary = run("build", scene, "--out", folder, "--report", folder.parent / "report.json", *FLAGS)
+    summary = run("build", scene, "--out", folder, "--report", folder.parent / "report.json", "--no-gltf-file", *FLAGS)
     assert '"Bällchen": 3 levels with 224' in summary
     (figures,) = json.loads((folder.parent / "report.json").read_text(encoding="utf-8"))["packages"]
+    assert not (folder / LEVELS_GLB).exists()
     assert figures["errors_of_levels"][0] == 0.0 and figures["mesh_bytes"] == (folder / MESH).stat().st_size
     assert "is complete: 3 levels" in run("verify", folder)
     with pytest.raises(FileError, match="is the file"):
