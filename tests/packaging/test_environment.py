@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+import venv
 from pathlib import Path
 
 import pytest
@@ -48,31 +49,49 @@ def environment_folder(project: Path) -> Path:
     return project / "Umgebungen" / LOCK.name
 
 
-@pytest.mark.slow
-def test_an_environment_is_recreated_after_an_interruption_and_when_the_lock_changes_and_removed_if_that_fails(project):
-    folder = environment_folder(project)
+def leave_unfinished(folder: Path) -> None:
+    """Write what a creation leaves that was interrupted."""
     folder.mkdir(parents=True)
     (folder / environment.STAMP_FILE).write_text(environment.UNFINISHED)
     (folder / "partial").write_text("")
-    first = run(project, "--out", "a folder/Füße.blend", "")
-    assert first.returncode == 7, first.stderr
-    assert not (folder / "partial").exists(), "an interrupted environment is recreated"
-    result = json.loads(first.stdout)
+
+
+def test_a_valid_environment_is_used_as_it_is(project):
+    folder, lock = environment_folder(project), project / "requirements" / LOCK.path.name
+    venv.create(folder, with_pip=False)
+    (folder / environment.STAMP_FILE).write_text(hashlib.sha256(lock.read_bytes()).hexdigest())
+    user_file = folder / "note.txt"
+    user_file.write_text("still here")
+    outcome = run(project, "--out", "a folder/Füße.blend", "")
+    assert outcome.returncode == 7, outcome.stderr
+    assert user_file.exists(), "a valid environment is not recreated"
+    result = json.loads(outcome.stdout)
     assert Path(result["prefix"]).resolve() == folder.resolve()
     assert result["arguments"] == ["--out", "a folder/Füße.blend", ""]
 
-    user_file = folder / "note.txt"
-    user_file.write_text("still here")
-    assert run(project).returncode == 7
-    assert user_file.exists(), "a valid environment is not recreated"
 
-    lock = project / "requirements" / LOCK.path.name
-    assert (folder / environment.STAMP_FILE).read_text() == hashlib.sha256(lock.read_bytes()).hexdigest()
+@pytest.mark.slow
+@pytest.mark.parametrize("stamp", ["old", pytest.param(environment.UNFINISHED, marks=pytest.mark.exhaustive)])
+def test_an_environment_without_its_packages_is_created_again_and_removed_if_that_fails(project, stamp):
+    folder, lock = environment_folder(project), project / "requirements" / LOCK.path.name
+    leave_unfinished(folder)
+    (folder / environment.STAMP_FILE).write_text(stamp)
     lock.write_text("colorama==0.4.6 --hash=sha256:" + "0" * 64 + "\n", encoding="utf-8")
     outcome = run(project, PIP_NO_INDEX="1", PIP_FIND_LINKS=str(project))
-    assert outcome.returncode == 2, "a changed lock recreates the environment"
-    assert "could not be installed" in outcome.stderr
+    assert outcome.returncode == 2 and "could not be installed" in outcome.stderr
     assert not folder.exists(), "an environment without its packages is removed"
+
+
+@pytest.mark.slow
+@pytest.mark.exhaustive
+def test_an_interrupted_environment_is_created_again(project):
+    folder = environment_folder(project)
+    leave_unfinished(folder)
+    assert run(project).returncode == 7
+    assert not (folder / "partial").exists()
+    assert (folder / environment.STAMP_FILE).read_text() == hashlib.sha256(
+        (project / "requirements" / LOCK.path.name).read_bytes()
+    ).hexdigest()
 
 
 def test_a_folder_with_other_files_is_left_unchanged(project):

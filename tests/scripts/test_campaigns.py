@@ -136,6 +136,7 @@ def test_a_cancelled_run_may_leave_complete_outputs(tmp_path):
     assert campaign_checks.check_written(tmp_path, after, after, outputs) == []
 
 
+@pytest.mark.exhaustive
 def test_the_processes_of_a_campaign_find_their_modules():
     """They are started as scripts, without the search path of the tests."""
     command = f"import sys; sys.path.insert(0, {str(FUZZ.parent)!r}); import campaign_disk, campaign_session, campaign_worker"
@@ -224,6 +225,7 @@ def test_a_stopped_campaign_leaves_no_process(tmp_path):
     assert process.living_members() == [] and process.poll() is not None
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 @pytest.mark.once
 def test_a_campaign_prints_what_it_did(tmp_path):

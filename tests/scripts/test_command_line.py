@@ -105,7 +105,7 @@ def test_names_do_not_break_lines(script):
 
 @pytest.mark.once
 @pytest.mark.skipif(os.name == "nt", reason="Windows has neither")
-@pytest.mark.parametrize("flags", [[], ["--verbose"], ["--help"]])
+@pytest.mark.parametrize("flags", [[], *(pytest.param([flag], marks=pytest.mark.exhaustive) for flag in ("--verbose", "--help"))])
 def test_nobody_reads_the_result(script, flags):
     reader, writer = os.pipe()
     os.close(reader)

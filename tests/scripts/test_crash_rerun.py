@@ -73,18 +73,21 @@ def test_a_file_that_crashed_once_runs_again_in_a_new_process(run):
     assert log.count("passes") == 5, "files with a result do not run again"
 
 
+@pytest.mark.exhaustive
 def test_two_crashes_fail(run):
     done, _ = run(2)
     assert done.returncode != 0
     assert done.stdout.count("BLENDER CRASHED") == 1, "there is no third run"
 
 
+@pytest.mark.exhaustive
 def test_a_failure_before_the_crash_is_not_forgotten(run):
     done, _ = run(1, test_a=LONGER.replace("FAILING", "[3]"))
     assert done.returncode != 0
     assert "Before the crash these tests failed" in done.stdout and "test_a.py::test_in_a_file_that_runs_first[3]" in done.stdout
 
 
+@pytest.mark.exhaustive
 def test_without_a_crash_nothing_runs_twice_and_all_runs_in_the_checkout(run):
     text = f"import pathlib\ndef test_folder():\n    assert pathlib.Path.cwd() == pathlib.Path({str(environment.ROOT)!r})\n"
     done, log = run(0, test_folder=text)

@@ -28,13 +28,13 @@ import unwrap
 
 farfield.register()
 bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-bpy.ops.mesh.primitive_grid_add(x_subdivisions=90, y_subdivisions=90)
+bpy.ops.mesh.primitive_grid_add(x_subdivisions=40, y_subdivisions=40)
 bpy.ops.farfield.unwrap()
 noise = np.random.default_rng(1).random((60, 60, 3))
 
 def save_image(path):
     with atomic_file(path) as temporary:
-        save_stretch_image(bpy.context.object, temporary, 512)
+        save_stretch_image(bpy.context.object, temporary, 256)
 
 def save_curve(path):
     with atomic_file(path) as temporary:
