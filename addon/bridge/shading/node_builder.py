@@ -129,12 +129,13 @@ class NodeBuilder:
     def arrange(self) -> None:
         """Lay out the nodes for readers: the output on the right, every node in a column left of all nodes that it feeds."""
         columns = {node.name: 0 for node in self.tree.nodes}
+        links = [(link.from_node.name, link.to_node.name) for link in self.tree.links]
         for _ in columns:
             has_changed = False
-            for link in self.tree.links:
-                column = columns[link.to_node.name] + 1
-                if columns[link.from_node.name] < column:
-                    columns[link.from_node.name], has_changed = column, True
+            for from_node, to_node in links:
+                column = columns[to_node] + 1
+                if columns[from_node] < column:
+                    columns[from_node], has_changed = column, True
             if not has_changed:
                 break
         heights: dict[int, float] = {}

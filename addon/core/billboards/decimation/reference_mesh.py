@@ -14,7 +14,7 @@ from ...geometry.distance import (
     points_farther_than,
 )
 from ...geometry.mesh import face_areas_and_normals
-from .vertex_fit import EDGE_REGULARIZATION, MIN_WEIGHT, FitTargets, solve_displacements
+from .vertex_fit import EDGE_REGULARIZATION, MIN_WEIGHT, FitTargets, build_spring_matrix, solve_displacements
 
 MAX_SAMPLES = 16_000
 MIN_SAMPLES = 1_000
@@ -154,6 +154,7 @@ class ReferenceMesh:
         """
         far_faces = np.flatnonzero(self.assign(vertices, triangles)[1] > FAR_DISTANCE * self.error)
         best, best_cost, best_step = vertices, np.inf, 0
+        spring_matrix = build_spring_matrix(triangles, len(vertices))
         for step in range(MAX_STEPS):
             corners = vertices[triangles]
             _, normals = face_areas_and_normals(corners)
@@ -182,7 +183,7 @@ class ReferenceMesh:
             )
             is_too_large = growth > 1.0 and max_distance <= TARGET_DISTANCE * self.error
             regularization = STRONG_REGULARIZATION if is_too_large else EDGE_REGULARIZATION
-            vertices = vertices + NEWTON_STEP * solve_displacements(vertices, triangles, targets, regularization)
+            vertices = vertices + NEWTON_STEP * solve_displacements(vertices, triangles, targets, spring_matrix, regularization)
         return best, best_cost
 
 

@@ -46,6 +46,7 @@ def fit_vertices(samples: np.ndarray, vertices: np.ndarray, triangles: np.ndarra
     reweighted least squares). `powers` has one entry per step; high powers lower the maximum distance.
     """
     best, best_distance = vertices, np.inf
+    spring_matrix = build_spring_matrix(triangles, len(vertices))
     for power in (*powers, None):
         corners = vertices[triangles]
         distances, nearest = closest_on_mesh(samples, corners)
@@ -61,19 +62,23 @@ def fit_vertices(samples: np.ndarray, vertices: np.ndarray, triangles: np.ndarra
         directions = np.where(has_offset[:, None], offsets / np.where(has_offset, distances, 1.0)[:, None], normals[nearest])
         irls_weights = (distances / max_distance) ** (power - 2.0) + MIN_WEIGHT
         targets = FitTargets(nearest, barycentric, directions, distances, irls_weights)
-        displacements = solve_displacements(vertices, triangles, targets)
+        displacements = solve_displacements(vertices, triangles, targets, spring_matrix)
         # A full reweighted step is power - 1 times as long as the Newton step.
         vertices = vertices + displacements / max(power - 1.0, 1.0)
     return best
 
 
 def solve_displacements(
-    vertices: np.ndarray, triangles: np.ndarray, targets: FitTargets, edge_regularization: float = EDGE_REGULARIZATION
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    targets: FitTargets,
+    spring_matrix: csr_matrix,
+    edge_regularization: float = EDGE_REGULARIZATION,
 ) -> np.ndarray:
     """Solve for vertex displacements (V, 3) that move the points of `targets` by their residuals.
 
-    Damped weighted least squares. `edge_regularization` scales springs along the edges that keep the mesh from folding. No displacement is
-    longer than the largest residual.
+    Damped weighted least squares. `edge_regularization` scales springs along the edges that keep the mesh from folding, see
+    `build_spring_matrix`. No displacement is longer than the largest residual.
     """
     count = 3 * len(vertices)
     columns = (3 * triangles[targets.triangles][:, :, None] + np.arange(3)).reshape(-1)
@@ -81,14 +86,14 @@ def solve_displacements(
     jacobian = csr_matrix((values, columns, np.arange(0, len(columns) + 1, 9)), shape=(len(targets.residuals), count))
     normal_matrix = jacobian.T @ jacobian.multiply(targets.weights[:, None])
     scale = max(float(normal_matrix.diagonal().mean()), TINY)
-    springs = edge_regularization * scale * _spring_matrix(triangles, len(vertices))
+    springs = edge_regularization * scale * spring_matrix
     rhs = jacobian.T @ (targets.weights * targets.residuals) - springs @ vertices.ravel()
     displacements = spsolve((normal_matrix + springs + DAMPING * scale * identity(count)).tocsc(), rhs).reshape(-1, 3)
     lengths = np.linalg.norm(displacements, axis=1)
     return displacements * np.minimum(1.0, np.abs(targets.residuals).max() / np.where(lengths > 0.0, lengths, 1.0))[:, None]
 
 
-def _spring_matrix(triangles: np.ndarray, count: int) -> csr_matrix:
+def build_spring_matrix(triangles: np.ndarray, count: int) -> csr_matrix:
     """Build the (3 count, 3 count) matrix K for which x' K x is the sum over all vertices of the mean squared length of their edges."""
     start, stop = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     inverse_degree = 1.0 / np.maximum(np.bincount(triangles.ravel(), minlength=count), 1.0)
