@@ -183,10 +183,11 @@ def _rectangle_areas(areas: np.ndarray, cluster_areas: np.ndarray, positions: np
         positions: (S, N, 2).
     """
     x, y = positions[..., 0], positions[..., 1]
-    mean_x, mean_y = np.cumsum(areas * x, axis=1) / cluster_areas, np.cumsum(areas * y, axis=1) / cluster_areas
-    xx = np.cumsum(areas * x * x, axis=1) / cluster_areas - mean_x**2
-    yy = np.cumsum(areas * y * y, axis=1) / cluster_areas - mean_y**2
-    xy = np.cumsum(areas * x * y, axis=1) / cluster_areas - mean_x * mean_y
+    area_x, area_y = areas * x, areas * y
+    mean_x, mean_y = np.cumsum(area_x, axis=1) / cluster_areas, np.cumsum(area_y, axis=1) / cluster_areas
+    xx = np.cumsum(area_x * x, axis=1) / cluster_areas - mean_x**2
+    yy = np.cumsum(area_y * y, axis=1) / cluster_areas - mean_y**2
+    xy = np.cumsum(area_x * y, axis=1) / cluster_areas - mean_x * mean_y
     return UNIFORM_RECTANGLE_FACTOR * np.sqrt(np.maximum(xx * yy - xy**2, 0.0))
 
 
@@ -196,9 +197,10 @@ def _resolve_error(sample: SurfaceSample, settings: BillboardSettings) -> float:
         return settings.error
     limits = next(item for item in describe(BillboardSettings) if item.name == "error")
     low, high = limits.minimum, limits.maximum
+    count = settings.levels if settings.texture_mb else 1  # The quads are those of the finest level.
     for _ in range(BISECTION_STEPS):
         candidate = math.sqrt(low * high)
-        levels = [_estimate_level(sample, settings, candidate * 2.0**index) for index in range(settings.levels)]
+        levels = [_estimate_level(sample, settings, candidate * 2.0**index) for index in range(count)]
         has_too_many_quads = settings.quads and levels[0].quads > settings.quads
         is_too_large = settings.texture_mb and sum(level.texels for level in levels) * BYTES_PER_TEXEL > settings.texture_mb * 1e6
         low, high = (candidate, high) if has_too_many_quads or is_too_large else (low, candidate)
