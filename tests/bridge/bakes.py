@@ -11,7 +11,7 @@ from typing import Any
 import bpy
 
 from bridge import blender_scenes
-from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
+from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in, read_cloud
 from farfield.addon.bridge.btf.capture.snapshot import open_snapshot, store_folder
 from farfield.addon.bridge.btf.capture.worker import capture_views
 from farfield.addon.core.btf.settings import BtfSettings
@@ -94,12 +94,34 @@ def copy_finished_views(folder: Path, model: str = SMALL["model"]) -> Path:
 def bake_finished_views(cloud: SceneCloud, model: str = SMALL["model"]) -> None:
     """Bake the small cloud with the operator. It renders nothing; `finished_views_of_small_cloud` must have been called before."""
     settings = SMALL | {"model": model}
-    folder = estimates.capture_folder(cloud, BtfSettings(**settings, executor="serial"))
+    bake = BtfSettings(**settings, executor="serial")
+    cloud = read_cloud(cloud.collection)  # which may have linked duplicates by now
+    folder = estimates.capture_folder(cloud, bake)
     for index, level in enumerate(cloud.levels):
         views = store_folder(finished_views_of_small_cloud(model), level["farfield_level"])
         shutil.copytree(views, store_folder(folder, index), dirs_exist_ok=True)
     bpy.context.view_layer.objects.active = cloud.levels[0]
+    assert estimates.count_finished_views(cloud, bake) == bake.view_count * len(cloud.levels)
     assert bpy.ops.farfield.btf_bake(**settings, executor="serial") == {"FINISHED"}
+
+
+def bake_in_this_process(cloud: SceneCloud, **settings: Any) -> SceneCloud:
+    """Bake a cloud with the operator after capturing its views in this process: starting a worker takes longer than these renders.
+
+    The file is saved and opened again, so use the returned cloud instead of `cloud`.
+    """
+    path = Path(tempfile.mkdtemp(prefix="farfield-bake-")) / "scene.blend"
+    scene_files.save_scene(path)
+    bake = BtfSettings(**settings)
+    folder = estimates.capture_folder(cloud, bake)
+    job = prepare_bake(bpy.context, cloud, bake, folder, keep_finished_views=True)
+    capture_views(open_snapshot(job.run.snapshot_folder, run_drivers=False), folder, list(range(bake.view_count)), threads=2)
+    job.run.close()
+    cloud = open_cloud(path)
+    bpy.context.view_layer.objects.active = cloud.levels[0]
+    assert estimates.count_finished_views(cloud, bake) == bake.view_count * len(cloud.levels)
+    assert bpy.ops.farfield.btf_bake(**settings) == {"FINISHED"}
+    return cloud
 
 
 def prepare_job(cloud: SceneCloud, folder: Path | None, executor: str = "serial") -> BakeJob:

@@ -14,7 +14,7 @@ pytest.importorskip("bpy")
 import bpy
 
 from bridge import blender_scenes
-from bridge.bakes import build_cloud, open_cloud
+from bridge.bakes import build_small_cloud, open_cloud
 from farfield.addon.bridge.billboards.cloud_materials import FRONT_COLOR, FRONT_NORMAL
 from farfield.addon.bridge.billboards.level_objects import PBR_MATERIAL, read_level_texels
 from farfield.addon.bridge.billboards.scene_clouds import clouds_in
@@ -279,7 +279,7 @@ def test_an_octahedral_atlas_needs_the_source(cloud, tmp_path):
 
 
 def test_each_level_is_written_to_its_own_file(tmp_path):
-    cloud = build_cloud(blender_scenes.ball(), textures=False)
+    cloud = build_small_cloud()
     for level in cloud.levels:
         assign_random_textures(level, FEW_DIRECTIONS)
     export(cloud, tmp_path / "ball.btf")
@@ -297,7 +297,7 @@ def test_a_removed_relightable_material_can_be_restored_as_pbr(cloud, change):
 
 
 def test_names_of_levels_do_not_choose_folders(tmp_path):
-    cloud = build_cloud(blender_scenes.ball(), textures=False)
+    cloud = build_small_cloud()
     for level, name in zip(cloud.levels, ("../../escaped", f"{tmp_path}/absolute"), strict=True):
         level.name = name
         assign_random_textures(level, FEW_DIRECTIONS)

@@ -18,10 +18,13 @@ from farfield.addon.core.jobs.progress import run_to_end
 from lib import environment
 
 WORKER = f"""
-import os, sys, time
+import os, sys, time, types
 sys.path.insert(0, {str(environment.ROOT / "scripts")!r})
 from lib import environment
 environment.import_farfield()
+for tool in ("billboards", "btf"):  # Without what these packages export, and SciPy: importing it takes longer than everything else.
+    package = sys.modules["farfield.addon.core." + tool] = types.ModuleType(tool)
+    package.__path__ = [str(environment.ROOT / "addon" / "core" / tool)]
 import numpy as np
 from pathlib import Path
 from farfield.addon.core.jobs import heartbeat
