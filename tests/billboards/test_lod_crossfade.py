@@ -158,26 +158,25 @@ def test_removing_restores_material_and_properties(scene):
     assert not [key for key in card.keys() if key.startswith("farfield")] and not card.animation_data.drivers  # noqa: SIM118
 
 
-def build_ball_cloud(**settings):
-    """Build a cloud with two levels from a red ball."""
-    ball = blender_scenes.ball("Bällchen", emissive(RED))
+def build_cloud(source, **settings):
+    """Build a cloud with two levels from the new object `source`."""
     bpy.ops.farfield.billboards_build(**{"levels": 2, "error": 6.0, "samples": 1, **settings})
-    return ball, clouds_in(bpy.context.scene)[0]
+    return source, clouds_in(bpy.context.scene)[0]
 
 
 def test_operator_adds_crossfade_and_show_level_removes_it(scene):
-    ball, cloud = build_ball_cloud()
-    ball.modifiers.new("Subdivision", "SUBSURF")
+    box, cloud = build_cloud(blender_scenes.box("Würfel", emissive(RED)))
+    box.modifiers.new("Subdivision", "SUBSURF")
     before = blender_scenes.count_data()
     assert not cloud.has_crossfade
     assert bpy.ops.farfield.billboards_crossfade(fade_range=50.0) == {"FINISHED"}
     (proxy,) = source_objects.find_source_proxies(cloud.collection)
-    assert len(proxy.data.polygons) > len(ball.data.polygons) and not proxy.modifiers
-    assert cloud.has_crossfade and ball.hide_render and not any(level.hide_render for level in cloud.levels)
+    assert len(proxy.data.polygons) > len(box.data.polygons) and not proxy.modifiers
+    assert cloud.has_crossfade and box.hide_render and not any(level.hide_render for level in cloud.levels)
     np.testing.assert_allclose(proxy[lod_crossfade.CROSSFADE], (0.0, cloud.errors[0], 0.5))
     np.testing.assert_allclose(cloud.levels[0][lod_crossfade.CROSSFADE], (*cloud.errors, 0.5))
-    assert proxy.data.materials[0] != ball.data.materials[0]
-    assert not [node for node in ball.data.materials[0].node_tree.nodes if node.type == "GROUP"]
+    assert proxy.data.materials[0] != box.data.materials[0]
+    assert not [node for node in box.data.materials[0].node_tree.nodes if node.type == "GROUP"]
     bpy.ops.farfield.billboards_crossfade()  # again, with another range
     assert len(source_objects.find_source_proxies(cloud.collection)) == 1 and cloud.levels[0][lod_crossfade.CROSSFADE][2] == pytest.approx(
         0.25
@@ -186,22 +185,22 @@ def test_operator_adds_crossfade_and_show_level_removes_it(scene):
     assert not cloud.has_crossfade and not source_objects.find_source_proxies(cloud.collection)
     after = blender_scenes.count_data()
     assert {name: after[name] - before[name] for name in after} == dict.fromkeys(after, 0) | {"node_groups": 1}
-    assert [item.hide_render for item in (ball, *cloud.levels)].count(False) == 1
+    assert [item.hide_render for item in (box, *cloud.levels)].count(False) == 1
 
 
 def test_every_face_of_a_proxy_keeps_its_material(scene):
-    ball = blender_scenes.ball("Ball", emissive(RED))
-    ball.data.materials.append(emissive(BLUE))
-    ball.data.polygons[0].material_index = 1
+    box = blender_scenes.box(material=emissive(RED))
+    box.data.materials.append(emissive(BLUE))
+    box.data.polygons[0].material_index = 1
     bpy.ops.farfield.billboards_build(levels=1, error=4.0, textures=False)
     bpy.ops.farfield.billboards_crossfade()
     (proxy,) = source_objects.find_source_proxies(clouds_in(scene)[0].collection)
-    assert [polygon.material_index for polygon in proxy.data.polygons] == [polygon.material_index for polygon in ball.data.polygons]
+    assert [polygon.material_index for polygon in proxy.data.polygons] == [polygon.material_index for polygon in box.data.polygons]
     assert proxy.data.materials[0] != proxy.data.materials[1]
 
 
 def test_coverage_is_preserved_while_fading(scene):
-    _, cloud = build_ball_cloud(error=4.0)
+    _, cloud = build_cloud(blender_scenes.ball("Ball", emissive(RED)), error=4.0)
     bpy.ops.farfield.billboards_crossfade(fade_range=100.0)
     scene.camera.data.type = "ORTHO"
     areas = []
@@ -231,15 +230,15 @@ def test_collection_instances_get_one_proxy_per_object(scene):
 
 
 def test_cloud_without_source_fades_between_its_levels(scene):
-    ball, cloud = build_ball_cloud(textures=False)
-    bpy.data.objects.remove(ball)
+    box, cloud = build_cloud(blender_scenes.box(), textures=False)
+    bpy.data.objects.remove(box)
     bpy.ops.farfield.billboards_crossfade()
     assert not source_objects.find_source_proxies(cloud.collection)
     assert cloud.levels[0][lod_crossfade.CROSSFADE][0] == 0.0
 
 
 def test_poll_needs_a_camera(scene):
-    build_ball_cloud(textures=False)
+    build_cloud(blender_scenes.box(), textures=False)
     scene.camera = None
     assert not bpy.ops.farfield.billboards_crossfade.poll()
 

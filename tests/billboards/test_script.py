@@ -47,11 +47,6 @@ def cube(tmp_path):
     return path
 
 
-def run(*arguments, **options):
-    """Run the script in its own process."""
-    return subprocess.run([sys.executable, str(SCRIPT), *map(str, arguments)], capture_output=True, text=True, check=False, **options)
-
-
 def main(*arguments):
     """Run the script in this process; raises its errors. Returns its result."""
     return billboards.main([str(argument) for argument in arguments], command_line.ProgressLine())
@@ -62,10 +57,19 @@ def cloud_levels():
     return sorted((item for item in bpy.data.objects if item.get("farfield_kind") == "cloud"), key=lambda item: item.name)
 
 
-def test_blend_output_with_report(cube):
+def test_blend_output_with_report_and_invalid_input(cube):
+    """Invalid input and unknown flags are one line and code 2."""
     out, figures = cube.with_name("wolke Ω.blend"), cube.with_name("figures.json")
-    outcome = run(cube, "--out", out, "--error", "10%", "--levels", "2", "--samples", "1", "--report", figures)
+    outcome, missing, unknown = run_script(
+        SCRIPT,
+        [cube, "--out", out, "--error", "10%", "--levels", "2", "--samples", "1", "--report", figures],
+        [cube.with_name("nowhere.obj"), "--out", cube.with_name("out.blend")],
+        [cube, "--out", "x", "--magic"],
+    )
     assert outcome.returncode == 0, outcome.stderr
+    for refused, name in ((missing, "nowhere.obj"), (unknown, "--magic")):
+        assert refused.returncode == 2
+        assert refused.stderr.strip().count("\n") == 0 and name in refused.stderr and "Traceback" not in refused.stderr
     assert sorted(path.name for path in cube.parent.iterdir()) == sorted([cube.name, out.name, figures.name])
 
     report = json.loads(figures.read_text(encoding="utf-8"))
@@ -111,16 +115,6 @@ def test_source_is_hidden_unless_kept(cube, keep):
     (source,) = (item for item in bpy.data.objects if item != level)
     assert source.hide_viewport == source.hide_render == (not keep)
     assert not level.hide_viewport and not level.hide_render
-
-
-def test_invalid_input_and_unknown_flags_are_one_line_and_code_2(cube):
-    missing, unknown = run_script(
-        SCRIPT, [cube.with_name("nowhere.obj"), "--out", cube.with_name("out.blend")], [cube, "--out", "x", "--magic"]
-    )
-    for outcome, name in ((missing, "nowhere.obj"), (unknown, "--magic")):
-        assert outcome.returncode == 2
-        assert outcome.stderr.strip().count("\n") == 0 and name in outcome.stderr and "Traceback" not in outcome.stderr
-    assert [path.name for path in cube.parent.iterdir()] == [cube.name]
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT to send to one process")

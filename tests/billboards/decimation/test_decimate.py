@@ -69,7 +69,7 @@ def check_bounds(decimated: DecimatedMesh, vertices: np.ndarray, triangles: np.n
 
 
 def test_flat_sheet_becomes_few_triangles():
-    vertices, triangles = sheet(8, lambda x, y: 0.3 * x - 0.1 * y)
+    vertices, triangles = sheet(5, lambda x, y: 0.3 * x - 0.1 * y)
     decimated = run_to_end(decimate_to_error(vertices, triangles, 0.01, BOUND))
     check_bounds(decimated, vertices, triangles, 0.01)
     assert len(decimated.triangles) <= 4
@@ -78,19 +78,19 @@ def test_flat_sheet_becomes_few_triangles():
 @pytest.mark.parametrize("unit", [1e-4, pytest.param(1e4, marks=pytest.mark.exhaustive)])
 def test_triangles_of_sphere_follow_from_curvature(unit):
     """A triangle on both sides of a sphere may have edges of sqrt(12 r e), so an area of 4 pi r^2 needs about 2.4 r / e triangles."""
-    vertices, triangles = sphere(6)
-    error = 0.16
+    vertices, triangles = sphere(5)
+    error = 0.2
     decimated = run_to_end(decimate_to_error(unit * vertices, triangles, unit * error, BOUND))
     check_bounds(decimated, unit * vertices, triangles, unit * error)
     assert 0.8 * 2.4 / error <= len(decimated.triangles) <= 2.0 * 2.4 / error
     area = face_areas_and_normals(decimated.vertices[decimated.triangles])[0].sum() / unit**2
-    assert area == pytest.approx(4.0 * np.pi, rel=0.1)
+    assert area == pytest.approx(face_areas_and_normals(vertices[triangles])[0].sum(), rel=0.1)
 
 
 def test_duplicate_and_non_manifold_faces_are_allowed():
-    vertices, triangles = sheet(6, lambda x, y: 0.1 * np.sin(6.0 * x + y))
+    vertices, triangles = sheet(4, lambda x, y: 0.1 * np.sin(6.0 * x + y))
     fin = np.array([[0.5, 0.0, 0.5], [0.5, 1.0, 0.5]])
-    extra = np.array([[24, 31, len(vertices)], [24, 31, len(vertices) + 1]], np.int32)
+    extra = np.array([[12, 17, len(vertices)], [12, 17, len(vertices) + 1]], np.int32)
     soup = np.concatenate([triangles, triangles[:7], extra])
     points = np.concatenate([vertices, fin])
     decimated = run_to_end(decimate_to_error(points, soup, 0.03, BOUND))
@@ -187,7 +187,7 @@ def test_flat_regions_are_connected_by_edges():
 
 def test_unassigned_faces_get_their_own_quads():
     """Few triangles can follow long faces across the ridges of a corrugated sheet; all faces are still shown within the error."""
-    vertices, triangles = sheet(6, lambda x, y: 0.08 * np.abs((5.0 * x + 2.0 * y) % 1.0 - 0.5))
+    vertices, triangles = sheet(5, lambda x, y: 0.08 * np.abs((5.0 * x + 2.0 * y) % 1.0 - 0.5))
     cloud = build_with_decimation(vertices, triangles, 0.015)
     assert cloud.uncovered_faces == 0
     assert cloud.max_plane_distance <= 1.0
