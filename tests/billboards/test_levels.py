@@ -13,8 +13,8 @@ from farfield.addon.core.jobs.progress import Progress, run_to_end
 from shapes import box, bumpy_sphere, cylinder, leaf_cards, sheet
 
 MESHES = {
-    "bumpy": bumpy_sphere(),
-    "leaves": leaf_cards(100),
+    "bumpy": bumpy_sphere(8),
+    "leaves": leaf_cards(60),
     "tree": concatenate([cylinder(radius=0.1, sides=16, cuts=5), leaf_cards(60)]),
 }
 

@@ -128,8 +128,10 @@ def sample_texels(image: np.ndarray, view: OrthographicView, card: bpy.types.Obj
     return texels.to_image(image[view.pixel_of(texels.positions)])
 
 
-@pytest.mark.parametrize(("clusters", "components"), [(3, 5), (32, 8)])
-@pytest.mark.parametrize("between", [False, True], ids=["baked", "between"])
+@pytest.mark.parametrize(
+    ("clusters", "components", "between"),
+    [(3, 5, True), (32, 8, False), *(pytest.param(*case, marks=pytest.mark.exhaustive) for case in ((3, 5, False), (32, 8, True)))],
+)
 def test_clustered_texels_match_the_arrays(clusters, components, between):
     card = create_relightable_card(clusters, components)
     texture = read_relightable_texture(card)

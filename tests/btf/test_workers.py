@@ -277,7 +277,7 @@ class TestSnapshot:
         node = red.node_tree.nodes.new("ShaderNodeTexImage")
         node.image = image
         blender_scenes.link(red, node.outputs["Color"], blender_scenes.shader_of(red).inputs["Base Color"])
-        cloud = build_cloud(blender_scenes.ball(material=red), textures=False, levels=1)
+        cloud = build_cloud(blender_scenes.box(material=red), textures=False, levels=1)
         image.pixels = painted.ravel().tolist()
         assert image.is_dirty
         (tmp_path / "work").mkdir()

@@ -171,12 +171,12 @@ class TestFilling:
         sources = levels[0].source[levels[0].hole]
         assert found and found[0].any() and levels[0].valid[sources].all()
 
-    @pytest.mark.parametrize("count", [pytest.param(1, marks=pytest.mark.exhaustive), 30])
+    @pytest.mark.parametrize("count", [pytest.param(1, marks=pytest.mark.exhaustive), 12])
     def test_holes_of_a_texture_keep_its_distribution(self, count):
         random = np.random.default_rng(8)
-        image = gaussian_filter(random.random((220, 230, 1)), (0.8, 2.5, 0)).astype(np.float32)
+        image = gaussian_filter(random.random((130, 140, 1)), (0.8, 2.5, 0)).astype(np.float32)
         hole = np.zeros(image.shape[:2], bool)
-        for row, column in random.integers(20, 200, (count, 2)):
+        for row, column in random.integers(20, 110, (count, 2)):
             hole |= disk(hole.shape, 25 if count == 1 else 5, (row, column))
         page, level = build_level(image, hole)
         run_to_end(fill_texture([page], [level], RestoreSettings(pyramid_levels=1)))

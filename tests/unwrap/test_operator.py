@@ -33,7 +33,7 @@ def link(item):
     return item
 
 
-def add_sphere(segments=16, rings=8, **options):
+def add_sphere(segments=12, rings=6, **options):
     """Add a selected sphere of quads and triangles."""
     bpy.ops.mesh.primitive_uv_sphere_add(segments=segments, ring_count=rings, calc_uvs=False, **options)
     return bpy.context.object
@@ -138,7 +138,7 @@ def test_edit_mode_unwraps_only_selected_faces():
 
 
 def test_a_painted_vertex_group_gets_more_texels():
-    item = add_sphere(segments=32, rings=16)
+    item = add_sphere(segments=20, rings=10)
     group = item.vertex_groups.new(name="Face")
     group.add([vertex.index for vertex in item.data.vertices if vertex.co.x > 0.0], 1.0, "REPLACE")
     unwrap(importance="vertex_group", density_ratio=3.0)
@@ -147,7 +147,7 @@ def test_a_painted_vertex_group_gets_more_texels():
 
 @pytest.mark.parametrize("importance", ["camera", "cameras"])
 def test_faces_visible_to_the_camera_get_more_texels(importance):
-    item = add_sphere(segments=24, rings=12)
+    item = add_sphere(segments=16, rings=8)
     bpy.ops.object.camera_add(location=(0.0, 0.0, 8.0), rotation=(0.0, 0.0, 0.0))
     bpy.context.scene.camera = bpy.context.object
     item.select_set(True)
@@ -166,7 +166,7 @@ def test_faces_hidden_by_rendered_objects_get_fewer_texels(is_rendered):
     bpy.ops.object.camera_add(location=(0.0, 0.0, 8.0), rotation=(0.0, 0.0, 0.0))
     bpy.context.scene.camera = bpy.context.object
     bpy.ops.object.select_all(action="DESELECT")
-    bpy.ops.mesh.primitive_grid_add(x_subdivisions=16, y_subdivisions=16, calc_uvs=False)
+    bpy.ops.mesh.primitive_grid_add(x_subdivisions=10, y_subdivisions=10, calc_uvs=False)
     item = bpy.context.object
     unwrap(importance="camera", density_ratio=4.0)
     corner_uvs, polygons = read_corner_uvs(item)
@@ -270,7 +270,7 @@ def test_nan_coordinates_are_an_error():
 
 
 def test_an_atlas_has_little_stretch():
-    item = add_sphere(segments=32, rings=16)
+    item = add_sphere(segments=24, rings=12)
     unwrap(islands="atlas")
     assert uv_maps.read_metrics(item.data)["l2"] < 1.05
     assert_is_valid(item)

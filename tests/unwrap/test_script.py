@@ -25,7 +25,7 @@ def head(tmp_path):
     """A sphere in a file whose path has spaces and non-ASCII letters."""
     folder = tmp_path / "été à la mer"
     folder.mkdir()
-    return write_obj(folder / "tête.obj", sphere(12))
+    return write_obj(folder / "tête.obj", sphere(8))
 
 
 def write_obj(path, mesh):
@@ -48,12 +48,12 @@ def test_every_output_format_contains_the_uv_map(head, extension):
     assert figures["flips"] == figures["overlaps"] == 0
     unwrap.scene_files.open_scene(out)
     [item] = [item for item in bpy.context.scene.objects if item.type == "MESH"]
-    assert len(item.data.uv_layers) == 1 and len(item.data.polygons) == len(sphere(12).triangles)
+    assert len(item.data.uv_layers) == 1 and len(item.data.polygons) == len(sphere(8).triangles)
     assert np.ptp(read_uvs(item.data.uv_layers[0])) > 0.5
 
 
 def test_a_direction_implies_direction_importance(tmp_path):
-    path = write_obj(tmp_path / "dome.obj", dome(20))
+    path = write_obj(tmp_path / "dome.obj", dome(12))
     report = tmp_path / "report.json"
     run(path, "--out", tmp_path / "out.blend", "--direction", "-0,-1,0", "--density-ratio", "2", "--report", report)
     assert json.loads(report.read_text())["density_ratio"] == pytest.approx(2.0, rel=0.1)
@@ -69,7 +69,8 @@ def test_a_fixed_boundary(tmp_path, boundary):
     assert figures["flips"] == figures["overlaps"] == 0
 
 
-def test_the_image_is_written(head):
+def test_the_image_is_written(head, monkeypatch):
+    monkeypatch.setattr(unwrap, "STRETCH_IMAGE_RESOLUTION", 128)
     run(head, "--out", head.with_name("out.obj"), "--image", head.with_name("stretch.png"))
     assert head.with_name("stretch.png").stat().st_size > 1000
 
