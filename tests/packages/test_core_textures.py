@@ -27,6 +27,7 @@ from farfield.addon.core.packages.tile_pyramid import TilePyramid, sum_tiles
 from farfield.addon.core.texmesh.textured_mesh import build_textured_mesh
 from tests.shapes import sheet
 
+pytestmark = pytest.mark.usefixtures("small_images")
 SETTINGS, DENSITY = PackageSettings(tile_size=32, pixels=64), 67.0  # pixels per degree
 
 
@@ -38,7 +39,7 @@ def make_source(shape: tuple[int, int] = (70, 90), role: str = "base_color") -> 
 
 
 @pytest.fixture(scope="module")
-def built() -> BuiltTextures:
+def built(small_images) -> BuiltTextures:
     return run_to_end(build_textures([make_source(), make_source((64, 64), "normal")], SETTINGS, DENSITY, 4))
 
 
@@ -55,7 +56,7 @@ def test_same_sources_give_same_bytes(built):
 
 
 @pytest.fixture(scope="module")
-def coded() -> CodedTexture:
+def coded(small_images) -> CodedTexture:
     source = make_source()
     grid = check_source(source, 32)
     visibility = run_to_end(measure_visibility([source], [grid], 4, 64))[0]
@@ -281,9 +282,9 @@ def test_what_cannot_be_coded_is_refused():
 
 
 def test_detail_that_no_image_shows_is_coded_once():
-    source = make_source((512, 512))
-    built = run_to_end(build_textures([source], replace(SETTINGS, pixels=16), DENSITY, 4))
-    pyramid = TilePyramid(512, 512, 32)
+    source = make_source((256, 256))
+    built = run_to_end(build_textures([source], replace(SETTINGS, tile_size=16, pixels=16), DENSITY, 4))
+    pyramid = TilePyramid(256, 256, 16)
     levels = [pyramid.locate(int(number))[0] for number in built.increments.tiles]
     assert levels.count(0) == len({int(number) for number in built.increments.tiles if number < pyramid.starts[1]})
     assert 1 not in levels and max(levels) >= 3
@@ -292,16 +293,16 @@ def test_detail_that_no_image_shows_is_coded_once():
 @pytest.mark.parametrize(
     ("tile_size", "finest", "finer"),
     [
-        (32, {COMPLETE}, {COMPLETE}),
-        pytest.param(64, {COMPLETE}, {5, COMPLETE}, marks=pytest.mark.exhaustive),
-        (128, {5, COMPLETE}, {0, 5, COMPLETE}),
+        (16, {COMPLETE}, {COMPLETE}),
+        pytest.param(32, {COMPLETE}, {5, COMPLETE}, marks=pytest.mark.exhaustive),
+        (64, {5, COMPLETE}, {0, 5, COMPLETE}),
     ],
 )
 def test_detail_finer_than_images_show_has_the_highest_quality_only_where_tiles_are_many(tile_size, finest, finer):
-    source = make_source((512, 512))
+    source = make_source((256, 256))
     grid = check_source(source, tile_size)
-    visibility = np.zeros((64, 64, FOOTPRINT_LEVELS), np.float32)
-    visibility[..., np.flatnonzero(level_footprints() == 4.0)] = 1.0 / 64**2  # the texture halved twice
+    visibility = np.zeros((32, 32, FOOTPRINT_LEVELS), np.float32)
+    visibility[..., np.flatnonzero(level_footprints() == 4.0)] = 1.0 / 32**2  # the texture halved twice
     coded = run_to_end(code_texture(source, grid, visibility, SETTINGS.quality, DENSITY))
     variants = {level: {variant for found, variant, _ in coded.tiles if found == level} for level in range(3)}
     assert variants[0] == finest and variants[1] == finer and {0, 1, 2, COMPLETE} <= variants[2]
@@ -310,10 +311,10 @@ def test_detail_finer_than_images_show_has_the_highest_quality_only_where_tiles_
 
 @pytest.mark.parametrize("footprint", [pytest.param(1.0, marks=pytest.mark.exhaustive), 4.0])
 def test_progress_of_coding_never_falls(footprint):
-    source = make_source((256, 256))
-    grid = check_source(source, 64)
-    visibility = np.zeros((32, 32, FOOTPRINT_LEVELS), np.float32)
-    visibility[..., np.flatnonzero(level_footprints() == footprint)] = 1.0 / 32**2
+    source = make_source((128, 128))
+    grid = check_source(source, 32)
+    visibility = np.zeros((16, 16, FOOTPRINT_LEVELS), np.float32)
+    visibility[..., np.flatnonzero(level_footprints() == footprint)] = 1.0 / 16**2
     fractions = [progress.fraction for progress in code_texture(source, grid, visibility, SETTINGS.quality, DENSITY)]
     assert fractions == sorted(fractions) and fractions[0] >= 0.0 and 0.9 < fractions[-1] <= 1.0
 

@@ -17,9 +17,9 @@ from glb_reader import read_glb
 from lib import command_line, scene_files
 from textured_scenes import textured_ball
 
-pytestmark = pytest.mark.usefixtures("empty_scene")
-SMALL = {"levels": "number", "number": 3, "views": 2, "max_image": 64, "pixels": 96}
-FLAGS = ("--number", "3", "--views", "2", "--max-image", "64", "--pixels", "96")
+pytestmark = pytest.mark.usefixtures("empty_scene", "small_images")
+SMALL = {"levels": "number", "number": 3, "views": 2, "max_image": 64, "pixels": 96, "tile_size": 32}
+FLAGS = ("--number", "3", "--views", "2", "--max-image", "64", "--pixels", "96", "--tile-size", "32")
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ def run(*arguments):
 
 
 @pytest.fixture(scope="module")
-def two_packages(extension, tmp_path_factory):
+def two_packages(extension, small_images, tmp_path_factory):
     """The folder with the packages of two equal scaled and moved balls, whose export has left the scene as it was."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     for ball in (textured_ball(8, "Bäll/chen"), textured_ball(8, "Bäll:chen")):
@@ -114,7 +114,7 @@ def test_script_builds_and_verifies(folder):
     with pytest.raises(FileError, match="is the file"):
         run("build", scene, "--out", scene)
     with pytest.raises(SettingsError, match="multiple of 16"):
-        run("build", scene, "--out", folder, "--tile-size", "100", *FLAGS)
+        run("build", scene, "--out", folder, *FLAGS, "--tile-size", "100")
 
 
 @pytest.mark.parametrize("name", [MESH, TEXTURES])

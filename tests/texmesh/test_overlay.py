@@ -12,7 +12,7 @@ from farfield.addon.operators.texmesh.overlays import overlay
 from textured_scenes import textured_ball
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
-SMALL = {"levels": "number", "number": 3, "views": 2, "max_image": 64}
+SMALL = {"levels": "number", "number": 3, "views": 2, "max_image": 64, "vertices": "original"}
 
 
 @pytest.fixture

@@ -11,8 +11,8 @@ from farfield.addon.bridge.texmesh.rebaked_images import create_rebaked_image
 from textured_scenes import checker_image, textured_ball, textured_material
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
-SMALL = {"levels": "ratios", "ratios": "0.5,0.1", "views": 2, "max_image": 64, "vertices": "optimized", "rebake_textures": True}
-SIDE = 512
+SMALL = {"levels": "ratios", "ratios": "0.1", "views": 1, "max_image": 64, "vertices": "optimized", "rebake_textures": True}
+SIDE = 256
 
 
 @pytest.fixture
@@ -38,7 +38,7 @@ def count_data() -> dict[str, int]:
 
 
 def test_levels_have_smaller_images_of_their_own(ball, capsys):
-    levels = make()
+    levels = make(ratios="0.5,0.1")
     original, *images = images_of(levels)
     assert original.name == "Squares" and find_color_image(ball.data.materials[0])[0] == original
     assert [image.name for image in images] == ["Ball L1", "Ball L2"]
@@ -57,9 +57,9 @@ def test_without_the_setting_levels_have_the_same_image(ball):
 
 def test_images_and_materials_are_removed_with_the_levels(ball):
     before = count_data()
-    make(cross_fade=False)
+    make(cross_fade=False, ratios="0.2,0.1")
     assert count_data()["images"] == before["images"] + 2
-    make(cross_fade=False, ratios="0.2")
+    make(cross_fade=False)
     assert count_data()["images"] == before["images"] + 1
     assert bpy.ops.farfield.texmesh_remove() == {"FINISHED"}
     assert count_data() == before and find_color_image(ball.data.materials[0])[0].name == "Squares"

@@ -17,7 +17,7 @@ from textured_scenes import checker_image, count_triangles, textured_ball, textu
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 SCRIPT = environment.ROOT / "scripts" / "texmesh.py"
-FAST = ("--views", "2", "--max-image", "64", "--vertices", "original")
+FAST = ("--views", "1", "--max-image", "32", "--vertices", "original")
 
 
 @pytest.fixture
@@ -30,8 +30,8 @@ def folder(tmp_path):
 
 @pytest.fixture
 def ball(folder):
-    """A textured sphere of 528 triangles in a file."""
-    textured_ball()
+    """A textured sphere of 224 triangles in a file."""
+    textured_ball(8)
     return save(folder)
 
 
@@ -52,8 +52,10 @@ def make(path, *flags, out="out.blend"):
     return summary, json.loads(report.read_text(encoding="utf-8"))
 
 
-def test_a_scene_with_levels(ball):
-    summary, report = make(ball, "--number", "3")
+def test_a_scene_with_levels(folder):
+    textured_ball()
+    ball = save(folder)
+    summary, report = make(ball, "--number", "3", "--views", "2", "--max-image", "64")
     (figures,) = report["objects"]
     assert '"Bällchen" has 3 levels' in summary and figures["name"] == "Bällchen"
     assert report["seconds"]["levels"] > 0.0 and report["peak_memory_mb"] > 1.0 and report["skipped"] == []
@@ -65,7 +67,7 @@ def test_a_scene_with_levels(ball):
 
 def test_ratios_are_reached(ball):
     _, report = make(ball, "--ratios", "25%, 0.5")
-    assert [level["triangles"] for level in report["objects"][0]["levels"]] == [528, 264, 132]
+    assert [level["triangles"] for level in report["objects"][0]["levels"]] == [224, 112, 56]
 
 
 @pytest.mark.parametrize("quantized", [True, False])
@@ -97,14 +99,14 @@ def test_one_file_with_all_levels(ball):
 
 @pytest.mark.parametrize("one_file", [False, True])
 def test_files_have_rebaked_textures(folder, one_file):
-    textured_ball().data.materials[0] = textured_material(checker_image("Large", 512))
+    textured_ball(8).data.materials[0] = textured_material(checker_image("Large", 256))
     path, flags = save(folder), ("--one-file",) if one_file else ()
-    summary, _ = make(path, "--ratios", "0.5,0.1", "--vertices", "optimized", "--rebake-textures", *flags, out="out.glb")
+    summary, _ = make(path, "--ratios", "0.1", "--vertices", "optimized", "--rebake-textures", *flags, out="out.glb")
     assert "Textures of the levels" in summary
-    names = ["out.glb"] if one_file else [f"out-L{number}.glb" for number in range(3)]
+    names = ["out.glb"] if one_file else [f"out-L{number}.glb" for number in range(2)]
     texmesh.scene_files.open_scene(path.with_name(names[-1]))
     sizes = sorted(image.size[0] for image in bpy.data.images if image.size[0])
-    assert sizes == ([128, 256, 512] if one_file else [128])
+    assert sizes == ([128, 256] if one_file else [128])
 
 
 def parse_glb(path):
@@ -113,7 +115,7 @@ def parse_glb(path):
 
 
 def test_several_materials_become_primitives(folder):
-    item = textured_ball()
+    item = textured_ball(8)
     plain = textured_material(None, "Plain")
     plain.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.1, 0.4, 0.6, 1.0)
     for material in (textured_material(checker_image("Second", 16), "Second"), plain):
@@ -133,7 +135,7 @@ def test_analysis_and_plot(ball):
     report, plot = ball.with_name("r.json"), ball.with_name("p.png")
     assert "features at scales 1, 5, 10 and 20" in run("analyze", ball, "--report", report, "--plot", plot)
     (figures,) = json.loads(report.read_text(encoding="utf-8"))["objects"]
-    assert figures["vertices"] == figures["features"][0] == 266 and len(figures["ranges"]) == len(figures["sigmas"]) == 21
+    assert figures["vertices"] == figures["features"][0] == 114 and len(figures["ranges"]) == len(figures["sigmas"]) == 21
     assert plot.read_bytes().startswith(b"\x89PNG")
 
 
@@ -222,7 +224,7 @@ def add_armature(item):
     ids=lambda value: getattr(value, "__name__", ""),
 )
 def test_unusual_meshes_have_levels_and_a_sentence(folder, change, sentence):
-    change(textured_ball())
+    change(textured_ball(8))
     path = save(folder)
     summary, report = make(path, "--ratios", "0.5", out="out.glb")
     assert sentence in summary
@@ -251,7 +253,7 @@ def test_linked_meshes_have_levels(ball):
 
 
 def test_a_missing_image_is_named(folder):
-    item = textured_ball()
+    item = textured_ball(8)
     image = item.data.materials[0].node_tree.nodes["Image Texture"].image = bpy.data.images.new("Lost", 8, 8)
     image.source, image.filepath = "FILE", str(folder / "lost.png")
     with pytest.raises(FileError, match=r'The image "Lost.*" is missing or empty .*lost.png'):
