@@ -82,13 +82,23 @@ def _draw_line(image: np.ndarray, pixels: np.ndarray, color: tuple[float, float,
     rows, columns = np.mgrid[:HEIGHT, :WIDTH]
     coverage = np.zeros((HEIGHT, WIDTH))
     for start, stop in itertools.pairwise(pixels):
-        segment = stop - start
-        t = np.clip(((columns - start[0]) * segment[0] + (rows - start[1]) * segment[1]) / max(segment @ segment, 1e-12), 0.0, 1.0)
-        distance = np.hypot(columns - start[0] - t * segment[0], rows - start[1] - t * segment[1])
-        coverage = np.maximum(coverage, np.clip(1.5 - distance, 0.0, 1.0))
-    for x, y in pixels:
-        coverage = np.maximum(coverage, np.clip(DOT_RADIUS + 0.5 - np.hypot(columns - x, rows - y), 0.0, 1.0))
+        window, segment = _find_window(start, stop), stop - start
+        x, y = columns[window] - start[0], rows[window] - start[1]
+        t = np.clip((x * segment[0] + y * segment[1]) / max(segment @ segment, 1e-12), 0.0, 1.0)
+        distance = np.hypot(x - t * segment[0], y - t * segment[1])
+        coverage[window] = np.maximum(coverage[window], np.clip(1.5 - distance, 0.0, 1.0))
+    for point in pixels:
+        window = _find_window(point, point)
+        distance = np.hypot(columns[window] - point[0], rows[window] - point[1])
+        coverage[window] = np.maximum(coverage[window], np.clip(DOT_RADIUS + 0.5 - distance, 0.0, 1.0))
     image += coverage[..., None] * (np.array(color) - image)
+
+
+def _find_window(start: np.ndarray, stop: np.ndarray) -> tuple[slice, slice]:
+    """Return the rows and columns of the pixels that a dot or a segment between two points (2,) may cover."""
+    first = np.floor(np.minimum(start, stop) - 2.0 * DOT_RADIUS).astype(int).clip(0)
+    last = np.ceil(np.maximum(start, stop) + 2.0 * DOT_RADIUS).astype(int)
+    return slice(first[1], last[1]), slice(first[0], last[0])
 
 
 def rasterize_text(text: str, height: int) -> np.ndarray:
