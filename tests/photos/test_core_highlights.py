@@ -26,7 +26,7 @@ def add_highlight(photo, center, radius=0.6, strength=0.06):
 
 def error(photographs, texture, *, highlights):
     mesh, uvs = grid(12)
-    settings = PhotosSettings(size=SIZE, reduce_highlights=highlights, exposure=False)
+    settings = PhotosSettings(size=SIZE, reduce_highlights=highlights, exposure=False, sharpen=False)
     result = run_to_end(merge(mesh, uvs, photographs, settings))
     return np.sqrt(np.mean((result.colors - texture)[result.source >= 0] ** 2))
 

@@ -76,7 +76,7 @@ class TestRefine:
         [pytest.param((0.3, -0.2, 0.4), (0.0, 0.0, 0.0), marks=pytest.mark.exhaustive), ((1.2, -0.9, 1.0), (0.02, 0.03, -0.05))],
     )
     def test_a_camera_that_was_moved_comes_back(self, degrees, shift):
-        mesh, _, photographs = shoot()
+        mesh, _, photographs = shoot(3)
         truth = photographs[1].camera
         photographs[1] = turn(photographs[1], degrees, shift)
         before = distance_in_pixels(mesh, photographs[1].camera, truth)
@@ -86,7 +86,7 @@ class TestRefine:
         assert distance_in_pixels(mesh, found.camera, truth) < 0.1 and found.camera.lens == truth.lens
 
     def test_focal_length_and_distortion(self):
-        mesh, _, photographs = shoot()
+        mesh, _, photographs = shoot(3)
         truth = photographs[2].camera
         lens = Lens("SIMPLE_RADIAL", truth.lens.size, (308.0, 308.0), truth.lens.center, (0.05,))
         photographs[2] = replace(photographs[2], camera=replace(truth, lens=lens))
@@ -119,16 +119,16 @@ class TestRefine:
         assert distance_in_pixels(mesh, found.camera, photographs[0].camera) < 0.1
 
     def test_uniform_paint_is_refused(self):
-        mesh, _, photographs = shoot(texture=np.full((8, 8, 3), 0.5, np.float32))
+        mesh, _, photographs = shoot(2, texture=np.full((8, 8, 3), 0.5, np.float32))
         [found] = run_refine(mesh, photographs, [0])
         assert '"0.png" has 0 parts of the 12 that are needed' in found.problem and found.camera.name == "0.png"
         assert np.allclose(found.camera.translation, photographs[0].camera.translation)
 
     def test_a_photograph_of_something_else_is_refused(self):
-        mesh, uvs, photographs = shoot()
-        photographs[3] = photograph(mesh, uvs, detailed_texture(9), photographs[3].camera)
-        [found] = run_refine(mesh, photographs, [3])
-        assert found.problem and distance_in_pixels(mesh, found.camera, photographs[3].camera) < 1e-6
+        mesh, uvs, photographs = shoot(3)
+        photographs[2] = photograph(mesh, uvs, detailed_texture(9), photographs[2].camera)
+        [found] = run_refine(mesh, photographs, [2])
+        assert found.problem and distance_in_pixels(mesh, found.camera, photographs[2].camera) < 1e-6
 
     def test_one_photograph_is_refused(self):
         mesh, _, photographs = shoot()

@@ -21,7 +21,7 @@ from image_data import write_image
 from photo_scenes import SIZE, camera_at, grid, photograph, ring, smooth_texture
 
 pytestmark = pytest.mark.usefixtures("empty_scene", "quick_merges")
-FAST = {"size": SIZE}
+FAST = {"size": SIZE, "sharpen": False}
 
 
 def height(x, y):
@@ -223,7 +223,7 @@ class TestMerge:
         item, mesh, uvs = add_mesh()
         old = bpy.data.materials.new("Old")
         item.data.materials.append(old)
-        merge_scene(method="best")
+        merge_scene(method="best", sharpen=True)
         image = shown_image(item)
         expected = run_to_end(merge(mesh, uvs, photographs, PhotosSettings(size=SIZE, method="best")))
         found = read_pixels(image)

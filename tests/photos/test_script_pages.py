@@ -61,7 +61,7 @@ def inputs(tmp_path):
         quaternion = (w, (r[2, 1] - r[1, 2]) / (4 * w), (r[0, 2] - r[2, 0]) / (4 * w), (r[1, 0] - r[0, 1]) / (4 * w))
         lines += [f"{index} {' '.join(repr(float(value)) for value in (*quaternion, *camera.translation))} 1 {camera.name}", ""]
     (tmp_path / "cameras" / "images.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return "--cameras", tmp_path / "cameras", "--images", tmp_path / "images", "--size", SIZE
+    return "--cameras", tmp_path / "cameras", "--images", tmp_path / "images", "--size", SIZE, "--no-sharpen"
 
 
 def check_halves(first, second):
