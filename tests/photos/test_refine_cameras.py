@@ -22,14 +22,14 @@ def height(x, y):
 
 @cache
 def take_photographs():
-    """The photographs of the mesh by a ring of four cameras."""
+    """The photographs of the mesh by a ring of three cameras."""
     mesh, uvs = grid(20, height)
-    return [photograph(mesh, uvs, detailed_texture(), camera) for camera in ring(4)]
+    return [photograph(mesh, uvs, detailed_texture(), camera) for camera in ring(3)]
 
 
 @pytest.fixture
 def scene(tmp_path):
-    """A mesh, and four cameras with photographs below an Empty that is turned and scaled with the mesh."""
+    """A mesh, and three cameras with photographs below an Empty that is turned and scaled with the mesh."""
     mesh, _ = grid(20, height)
     folder = tmp_path / "été"
     folder.mkdir()
@@ -73,7 +73,7 @@ def select(*names):
 def test_a_selected_camera_moves_back_and_undo_works(scene, capfd):
     former = turn("1")
     wrong = distance_in_pixels(world(scene), read_camera("1"), former)
-    others = {name: bpy.data.objects[name].matrix_world.copy() for name in ("0", "2", "3")}
+    others = {name: bpy.data.objects[name].matrix_world.copy() for name in ("0", "2")}
     select("1")
     bpy.ops.ed.undo_push(message="turned")
     assert bpy.ops.farfield.photos_refine() == {"FINISHED"}
@@ -127,6 +127,6 @@ def test_what_cannot_be_refined(scene):
     assert "There is no visible mesh" in error()
     bpy.data.objects["Wand ü"].hide_set(False)
     for item in list(bpy.data.objects):
-        if item.name in {"0", "2", "3"}:
+        if item.name in {"0", "2"}:
             bpy.data.objects.remove(item)
     assert "There is only one photograph" in error()
