@@ -27,14 +27,14 @@ def surfaces(*rings: int) -> list[views.ViewedSurface]:
 
 
 @cache
-def share_image(rings: int) -> LevelImages:
+def open_image(rings: int) -> LevelImages:
     """The images of a sphere, which tests share: most of the time is that of renders."""
     frame = views.frame_around(textured_sphere(32).vertices)
     return LevelImages(surfaces(rings)[0], frame, fibonacci_sphere(SETTINGS.views), SETTINGS.pixels_per_degree)
 
 
-def share_images(*rings: int) -> list[LevelImages]:
-    return [share_image(count) for count in rings]
+def open_images(*rings: int) -> list[LevelImages]:
+    return [open_image(count) for count in rings]
 
 
 def find_switches(levels: list[views.ViewedSurface], settings: TexmeshSettings = SETTINGS) -> list[Switch]:
@@ -85,7 +85,7 @@ def test_equal_levels_switch_at_the_nearest_distance():
 
 
 def test_levels_look_the_same_where_they_switch_and_differ_nearer():
-    images = share_images(32, 16, 8, 5)
+    images = open_images(32, 16, 8, 5)
     switches = compare_images(images)
     sizes = [switch.pixel_size for switch in switches]
     assert sizes == sorted(sizes) and sizes[-1] > 3.0 * sizes[0]
@@ -107,7 +107,7 @@ def test_levels_of_opposite_colors_switch_where_the_object_is_smaller_than_a_pix
 
 
 def test_a_stricter_limit_moves_switches_away():
-    images = share_images(32, 8)
+    images = open_images(32, 8)
     (usual,) = compare_images(images)
     strict = TexmeshSettings(views=4, max_image=128, max_difference=0.01)
     (far,) = compare_images(images, strict)
@@ -133,7 +133,7 @@ def test_screen_coverage_is_that_of_a_disc():
 
 
 def test_images_do_not_grow_along_a_chain_and_with_a_gap_they_shrink():
-    images = share_images(32, 8, 31, 30, 5)  # the second one is worse than those that follow
+    images = open_images(32, 8, 31, 30, 5)  # the second one is worse than those that follow
     pixels = [switch.pixels for switch in compare_images(images)]
     assert pixels == sorted(pixels, reverse=True) and len(set(pixels)) < len(pixels)
     pixels = [switch.pixels for switch in compare_images(images, gap=1)]
@@ -141,7 +141,7 @@ def test_images_do_not_grow_along_a_chain_and_with_a_gap_they_shrink():
 
 
 def test_levels_that_would_never_be_shown_are_left_out():
-    images = share_images(32, 8, 31, 5)
+    images = open_images(32, 8, 31, 5)
     shown, switches = run_to_end(switch_distances.find_shown_levels(images, SETTINGS))
     assert shown == [0, 2, 3]
     again = compare_images([images[index] for index in shown])
@@ -150,7 +150,7 @@ def test_levels_that_would_never_be_shown_are_left_out():
 
 @pytest.mark.parametrize("segments", [(32, 8, 7, 6, 5), (32, 31, 30, 12, 10, 5), (32, 5, 32, 31, 30), (32, 31, 30)])
 def test_sizes_of_images_at_switches_decrease_in_proportion(segments):
-    shown, switches = run_to_end(switch_distances.find_shown_levels(share_images(*segments), SETTINGS))
+    shown, switches = run_to_end(switch_distances.find_shown_levels(open_images(*segments), SETTINGS))
     pixels = [switch.pixels for switch in switches]
     assert all(first >= switch_distances.MIN_SWITCH_RATIO * second for first, second in itertools.pairwise(pixels))
     assert len(shown) == len(pixels) + 1 and not any(switch.difference > SETTINGS.max_difference for switch in switches)
