@@ -1,5 +1,6 @@
 """Textured objects in a scene, for tests of the script and of what is read."""
 
+import bmesh
 import bpy
 import numpy as np
 
@@ -34,6 +35,7 @@ def textured_ball(rings: int = 12, name: str = "Bällchen") -> bpy.types.Object:
     bpy.ops.mesh.primitive_uv_sphere_add(segments=2 * rings, ring_count=rings)
     item = bpy.context.object
     item.name = name
+    sort_faces(item.data)
     item.data.shade_smooth()
     item.data.materials.append(textured_material(checker_image()))
     return item
@@ -43,3 +45,12 @@ def count_triangles(mesh: bpy.types.Mesh) -> int:
     """The triangles of a mesh."""
     mesh.calc_loop_triangles()
     return len(mesh.loop_triangles)
+
+
+def sort_faces(mesh: bpy.types.Mesh) -> None:
+    """Sort the faces of `mesh` by vertices: Blender adds the same sphere with another order of faces each time."""
+    work = bmesh.new()
+    work.from_mesh(mesh)
+    work.faces.sort(key=lambda face: face.verts[0].index * len(work.verts) + face.verts[1].index)
+    work.to_mesh(mesh)
+    work.free()

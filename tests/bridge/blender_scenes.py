@@ -1,11 +1,11 @@
 """Small Blender scenes with known answers, for the tests of the bridge."""
 
-import bmesh
 import bpy
 import numpy as np
 
 from farfield.addon.bridge.geometry.meshes import Source, read_source
 from farfield.addon.compat import enable_nodes
+from textured_scenes import sort_faces
 
 DATA_COLLECTIONS = ("cameras", "images", "materials", "meshes", "node_groups", "objects", "scenes")
 
@@ -45,7 +45,7 @@ def box(name: str = "Box", material: bpy.types.Material | None = None) -> bpy.ty
 def ball(name: str = "Ball", material: bpy.types.Material | None = None) -> bpy.types.Object:
     """Add a smooth sphere of radius 1."""
     bpy.ops.mesh.primitive_uv_sphere_add(segments=48, ring_count=24)
-    _sort_faces(bpy.context.object.data)
+    sort_faces(bpy.context.object.data)
     bpy.context.object.data.shade_smooth()
     return _finish(name, material)
 
@@ -75,15 +75,6 @@ def disc_image(name: str = "Disc", size: int = 64) -> bpy.types.Image:
     image.pixels.foreach_set(pixels.ravel())
     image.pack()
     return image
-
-
-def _sort_faces(mesh: bpy.types.Mesh) -> None:
-    """Sort the faces of `mesh` by vertices: Blender adds the same sphere with another order of faces each time."""
-    work = bmesh.new()
-    work.from_mesh(mesh)
-    work.faces.sort(key=lambda face: face.verts[0].index * len(work.verts) + face.verts[1].index)
-    work.to_mesh(mesh)
-    work.free()
 
 
 def _finish(name: str, material: bpy.types.Material | None) -> bpy.types.Object:
