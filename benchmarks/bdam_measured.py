@@ -31,18 +31,18 @@ from farfield.addon.core.bdam.view.caches import PatchCache
 from farfield.addon.core.bdam.view.extraction import CutSettings, extract_cut
 from farfield.addon.core.bdam.view.tiles import TileGrouping, build_tile_mesh
 from farfield.addon.core.jobs.progress import run_to_end
-from lib import command_line
+from lib import command_line, run_files
 
 
 def main(arguments: list[str], _line: command_line.ProgressLine) -> str:
     """Do the work; returns the measurements as JSON."""
     parser = command_line.Parser(prog="bdam_measured.py", description="Work that bench_bdam.py measures.")
     parser.add_argument("work", choices=list(WORK))
-    parser.add_argument("path", type=command_line.parse_path, help="an elevation model, or a store")
-    parser.add_argument("--out", type=command_line.parse_path, help="the store to build, or the picture")
+    parser.add_argument("path", type=run_files.parse_path, help="an elevation model, or a store")
+    parser.add_argument("--out", type=run_files.parse_path, help="the store to build, or the picture")
     parser.add_argument("--tolerance", type=float, default=1.0, help="pixels, of the cut that is rendered; 0 for all samples")
     parser.add_argument("--render-seed", type=int, default=0, help="of the noise of the render")
-    parser.add_argument("--image", type=command_line.parse_path, help="the texture of the build")
+    parser.add_argument("--image", type=run_files.parse_path, help="the texture of the build")
     parser.add_argument("--executor", default="processes", help="of the build")
     parser.add_argument("--size", type=int, default=0, help="samples per side of the terrain that is flown over")
     parser.add_argument("--seed", type=int, default=0, help="of that terrain")

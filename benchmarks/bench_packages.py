@@ -37,7 +37,7 @@ from packages_server import measure_server
 from packages_textures import measure_textures
 from packages_views import VIEWS
 
-from lib import command_line
+from lib import command_line, run_files
 
 PARTS = {
     "bytes": measure_bytes,
@@ -60,10 +60,10 @@ def build_parser() -> command_line.Parser:
     sizes = list(VIEWS)
     parser.add_argument("--sizes", nargs="+", type=int, choices=sizes, default=sizes, help="of images, for the parts bytes and textures")
     parser.add_argument("--minutes", type=float, default=120.0, help="after which the parts bytes and textures begin no further model")
-    parser.add_argument("--package", type=command_line.parse_path, help="the folder of a package, for the part sending")
+    parser.add_argument("--package", type=run_files.parse_path, help="the folder of a package, for the part sending")
     parser.add_argument(
         "--trace",
-        type=command_line.parse_path,
+        type=run_files.parse_path,
         help="text file of a connection, for --package: seconds and bytes per second, or Mahimahi's",
     )
     return parser

@@ -25,13 +25,13 @@ import scipy.spatial  # noqa: F401 - all of SciPy that a restoration needs count
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.restore.restoration import restore
 from farfield.addon.core.restore.settings import RestoreSettings
-from lib import command_line
+from lib import command_line, run_files
 
 
 def main(arguments: list[str], _line: command_line.ProgressLine) -> str:
     """Restore the image; returns the measurements as JSON."""
     parser = command_line.Parser(prog="restore_measured.py", description="Restore one image and measure time and memory.")
-    parser.add_argument("input", type=command_line.parse_path, help="an .npz file with the arrays image and mask")
+    parser.add_argument("input", type=run_files.parse_path, help="an .npz file with the arrays image and mask")
     given = parser.parse_args(arguments)
     before = memory_mb("VmRSS")
     with np.load(given.input, allow_pickle=False) as file:

@@ -33,6 +33,7 @@ from farfield.addon.core.bdam import (
     extract_mesh,
     open_field,
 )
+from farfield.addon.core.bdam.building.store_target import check_target
 from farfield.addon.core.bdam.building.terrain_build import folder_bytes
 from farfield.addon.core.bdam.fields.terrain_field import warn_of_heights
 from farfield.addon.core.bdam.settings import ViewSettings
@@ -44,10 +45,11 @@ from farfield.addon.core.jobs.progress import StageClock, run_to_end
 from farfield.addon.core.settings import add_flags
 from farfield.addon.operators.bdam.job import ShowJob
 from farfield.addon.operators.job_run import run_job
-from lib import command_line, scene_files
-from lib.atomic_output import atomic_file, check_outputs
+from lib import command_line, run_files, scene_files
+from lib.atomic_output import atomic_file
 from lib.mesh_export import write_obj, write_ply
 
+STORE = run_files.PathType(is_output=True, is_folder=True, check=check_target)
 EXTENSIONS = (".blend", ".ply", ".obj")
 MAX_KEPT_BYTES = 64 << 20  # Images of heights up to this size stay in memory.
 MAX_SIDE = 65536  # pixels of an image
@@ -60,13 +62,13 @@ def build_parser() -> command_line.Parser:
     parser = command_line.Parser(prog="bdam.py", description="Build large terrain, look into it, check it, and extract meshes from it.")
     commands = parser.add_subparsers(dest="command", required=True, metavar="build|info|verify|extract")
     build = commands.add_parser("build", description="Build a store from elevation models.")
-    build.add_argument("inputs", nargs="+", type=command_line.parse_path, metavar="INPUT", help="elevation models that form one grid")
-    build.add_argument("--out", type=command_line.parse_path, required=True, metavar="STORE", help="the folder to write")
+    build.add_argument("inputs", nargs="+", type=run_files.INPUT, metavar="INPUT", help="elevation models that form one grid")
+    build.add_argument("--out", type=STORE, required=True, metavar="STORE", help="the folder to write")
     build.add_argument(
         "--texture",
         nargs="+",
         default=[],
-        type=command_line.parse_path,
+        type=run_files.INPUT,
         metavar="IMAGE",
         help="images of the ground; later ones lie on top",
     )
@@ -76,19 +78,19 @@ def build_parser() -> command_line.Parser:
     verify = commands.add_parser("verify", description="Read a whole store and name what is damaged.")
     extract = commands.add_parser("extract", description="Write the mesh that a camera needs.")
     for command in (info, verify, extract):
-        command.add_argument("store", type=command_line.parse_path, metavar="STORE", help="the folder of a terrain")
+        command.add_argument("store", type=run_files.CLOSED_FOLDER, metavar="STORE", help="the folder of a terrain")
         _add_report(command)
     extract.add_argument("--from", dest="position", required=True, metavar="X,Y,Z", help="position of the camera in local meters")
     extract.add_argument("--to", dest="target", required=True, metavar="X,Y,Z", help="position that the camera looks at")
     extract.add_argument("--fov", default="50", help="field of view along the longer side of the image, in degrees (default: 50)")
     extract.add_argument("--size", default="800x600", help="width and height of the image in pixels (default: 800x600)")
     extract.add_argument("--tolerance", default="1", help="largest error in pixels (default: 1)")
-    extract.add_argument("--out", type=command_line.parse_path, required=True, help="the file to write: .ply, .obj or .blend")
+    extract.add_argument("--out", type=run_files.OUTPUT, required=True, help="the file to write: .ply, .obj or .blend")
     return parser
 
 
 def _add_report(parser: ArgumentParser) -> None:
-    parser.add_argument("--report", type=command_line.parse_path, help="write a report of the run to this JSON file")
+    parser.add_argument("--report", type=run_files.REPORT, help="write a report of the run to this JSON file")
 
 
 def main(arguments: list[str], line: command_line.ProgressLine) -> str:
@@ -105,7 +107,6 @@ def build(given: Namespace, line: command_line.ProgressLine) -> str:
     """Build a store."""
     settings = command_line.read_settings(given, BdamSettings)[BdamSettings]
     inputs, images = ([path.absolute() for path in paths] for paths in (given.inputs, given.texture))
-    check_outputs({}, {str(path): path for path in (*inputs, *images)}, given.report)
     with Scratch(MAX_KEPT_BYTES) as scratch:
         field_settings = FieldSettings(settings.cell_size, settings.image_height, settings.allow_gaps)
         field = open_field(inputs, field_settings, lambda path: scratch.keep(read_gray_image(path), 0))
@@ -199,7 +200,6 @@ def extract(given: Namespace, line: command_line.ProgressLine) -> str:
     out = given.out.absolute()
     if out.suffix.lower() not in EXTENSIONS:
         raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(EXTENSIONS)}.')
-    check_outputs({"--out": out}, {}, given.report)
     tolerance = parse_number(given.tolerance, "--tolerance", 1e-3, 1e6)
     clock = StageClock()
     with TerrainStore(given.store.absolute()) as store:

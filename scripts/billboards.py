@@ -31,8 +31,9 @@ from farfield.addon.core.settings import add_flags
 from farfield.addon.operators.billboards.job import BillboardJob, prepare_job
 from farfield.addon.operators.billboards.sources import may_have_surface
 from farfield.addon.operators.job_run import run_job
-from lib import command_line, scene_files
-from lib.atomic_output import atomic_folder, check_outputs
+from lib import command_line, run_files, scene_files
+from lib.atomic_output import atomic_folder
+from lib.run_files import obj_materials
 from lib.script_stdout import mute_stderr
 
 EXTENSIONS = (".blend", ".obj", ".glb")
@@ -42,10 +43,10 @@ def build_parser() -> command_line.Parser:
     """Return the parser of all arguments of the script."""
     parser = command_line.Parser(prog="billboards.py", description="Build a billboard cloud: a few textured quads that replace a mesh.")
     parser.add_argument(
-        "input", type=command_line.parse_path, help="a .blend .obj .ply .stl .glb .gltf .fbx or .usd file; a .ply may be a point cloud"
+        "input", type=run_files.INPUT, help="a .blend .obj .ply .stl .glb .gltf .fbx or .usd file; a .ply may be a point cloud"
     )
-    parser.add_argument("--out", type=command_line.parse_path, required=True, help="the file to write: .blend, .obj or .glb")
-    parser.add_argument("--report", type=command_line.parse_path, help="write a report of the run to this JSON file")
+    parser.add_argument("--out", type=run_files.OUTPUT_SCENE, required=True, help="the file to write: .blend, .obj or .glb")
+    parser.add_argument("--report", type=run_files.REPORT, help="write a report of the run to this JSON file")
     add_flags(parser, BillboardSettings)
     add_flags(parser, BuildOptions, ["keep_original_visible"])
     parser.add_argument("--cross-fade", action="store_true", help="cross-fade the levels and the source for the file's active camera")
@@ -62,11 +63,10 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
         raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(EXTENSIONS)}.')
     if given.cross_fade and out.suffix.lower() != ".blend":
         raise FileError(f'--cross-fade needs shader nodes, which "{given.out}" cannot store; --out must end in .blend.')
-    materials = material_path(out) if out.suffix.lower() == ".obj" else None
-    check_outputs({"--out": out, "the materials of --out": materials}, {"the input": given.input}, given.report)
+    given.files.check(obj_materials(out, material_path(out)))
     clock = StageClock()
     with clock.stage("read"):
-        scene_files.open_scene(given.input.absolute())
+        scene_files.open_scene(given.input.absolute(), given.files)
         if given.cross_fade and read_scene_camera(bpy.context.scene) is None:
             raise GeometryError("--cross-fade needs an active camera, and the file has none; add a camera, or omit --cross-fade.")
         job = prepare_input(given.input, settings[BillboardSettings], replace(settings[BuildOptions], combine_selected=True))

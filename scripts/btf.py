@@ -24,7 +24,6 @@ from farfield.addon.bridge.btf.levels.emission_levels import link_suns
 from farfield.addon.bridge.overlays.line_chart import draw_line_chart
 from farfield.addon.core.btf.settings import BtfSettings, ExportSettings
 from farfield.addon.core.errors import FileError, GeometryError, SettingsError
-from farfield.addon.core.files.file_access import is_same_file
 from farfield.addon.core.files.filenames import unique_filenames
 from farfield.addon.core.files.user_folders import check_owner
 from farfield.addon.core.jobs.progress import StageClock, run_to_end, subprogress
@@ -32,29 +31,31 @@ from farfield.addon.core.settings import add_flags
 from farfield.addon.operators.btf import export_job
 from farfield.addon.operators.btf.job import BakeJob, prepare_bake
 from farfield.addon.operators.job_run import run_job
-from lib import command_line, scene_files
-from lib.atomic_output import atomic_file, check_outputs
+from lib import command_line, run_files, scene_files
+from lib.atomic_output import atomic_file
 from lib.contact_sheet import write_png
+
+EXPORT = run_files.PathType(is_output=True, check=export_job.check_target)
 
 
 def build_parser() -> command_line.Parser:
     """Return the parser of all arguments of the script."""
     parser = command_line.Parser(prog="btf.py", description="Bake relightable textures for billboard clouds with Cycles.")
-    parser.add_argument("input", type=command_line.parse_path, help="a .blend file with source objects and their cloud")
-    parser.add_argument("--out", type=command_line.parse_path, required=True, help="the .blend file to write")
+    parser.add_argument("input", type=run_files.INPUT, help="a .blend file with source objects and their cloud")
+    parser.add_argument("--out", type=run_files.OUTPUT_SCENE, required=True, help="the .blend file to write")
     parser.add_argument(
-        "--work", type=command_line.parse_path, help="folder for finished views, so that a cancelled bake can resume (default: none)"
+        "--work", type=run_files.WORK_FOLDER, help="folder for finished views, so that a cancelled bake can resume (default: none)"
     )
     parser.add_argument(
         "--sun",
         default="Sun",
         help="with --model emission, name of the Sun light that lights the result; created if it is missing (default: Sun)",
     )
-    parser.add_argument("--report", type=command_line.parse_path, help="write a report of the run to this JSON file")
-    parser.add_argument("--curve", type=command_line.parse_path, help="write a chart of the PSNR by number of components to this PNG file")
+    parser.add_argument("--report", type=run_files.REPORT, help="write a report of the run to this JSON file")
+    parser.add_argument("--curve", type=run_files.OUTPUT, help="write a chart of the PSNR by number of components to this PNG file")
     parser.add_argument(
         "--export",
-        type=command_line.parse_path,
+        type=EXPORT,
         action="append",
         default=[],
         metavar="PATH",
@@ -75,12 +76,10 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     if out.suffix.lower() != ".blend":
         raise FileError(f'--out is "{options.out}"; it must end in .blend.')
     export_paths = [path.absolute() for path in options.export]
-    check_outputs({"--out": out, "--curve": options.curve}, {"the input": options.input}, options.report)
     check_model(settings, options.curve, export_paths)
-    check_exports(export_paths, [out, options.curve, options.report, options.input])
     clock = StageClock()
     with clock.stage("read"):
-        scene_files.open_scene(options.input.absolute())
+        scene_files.open_scene(options.input.absolute(), options.files)
         sun = find_or_create_sun(options.sun) if settings.bakes_emission else None
         jobs = prepare_jobs(settings, None if options.work is None else options.work.absolute())
     summaries = [
@@ -114,19 +113,6 @@ def check_model(settings: BtfSettings, curve: Path | None, exports: list[Path]) 
     needing = "--curve" if curve is not None else f'--export "{radiance_exports[0].name}"' if radiance_exports else ""
     if needing:
         raise SettingsError(f"{needing} needs baked lighting; add --model emission.", ("model",))
-
-
-def check_exports(paths: list[Path], others: list[Path | None]) -> None:
-    """Check that every export can be written, and that none replaces another one or one of the `others`.
-
-    Raises:
-        FileError: it cannot, or would.
-    """
-    for index, path in enumerate(paths):
-        export_job.check_target(path)
-        for other in (*paths[:index], *others):
-            if other is not None and is_same_file(path, other):
-                raise FileError(f'--export is "{path}", which this run reads or writes already; choose another path.')
 
 
 def prepare_jobs(settings: BtfSettings, work_folder: Path | None) -> list[BakeJob]:

@@ -30,14 +30,15 @@ from farfield.addon.core.clipbox.files.readers import check_path
 from farfield.addon.core.clipbox.layout import choose_terrain_origin
 from farfield.addon.core.errors import FileError, SettingsError
 from farfield.addon.core.files.file_access import check_readable, error_reason
+from farfield.addon.core.files.outputs import Input
 from farfield.addon.core.jobs.progress import Progress, StageClock, Steps, run_to_end, subprogress
 from farfield.addon.core.settings import add_flags, describe
 from farfield.addon.operators import following
 from farfield.addon.operators.clipbox import convert_to_mesh
 from farfield.addon.operators.clipbox.job import prepare
 from farfield.addon.operators.job_run import run_job
-from lib import command_line, scene_files
-from lib.atomic_output import atomic_file, check_outputs
+from lib import command_line, run_files, scene_files
+from lib.atomic_output import atomic_file
 from lib.mesh_export import write_obj, write_ply
 
 EXTENSIONS = (".blend", ".ply", ".obj")
@@ -47,9 +48,9 @@ def build_parser() -> command_line.Parser:
     """Return the parser of all arguments of the script."""
     parser = command_line.Parser(prog="clipbox.py", description="Create unbounded volumetric terrain in nested boxes around a viewer.")
     parser.add_argument("--at", default="0,0,60", help="position of the viewer, x,y,z in scene units (default: 0,0,60)")
-    parser.add_argument("--path", type=command_line.parse_path, help="a .csv file with further positions of the viewer, x,y,z per line")
-    parser.add_argument("--out", type=command_line.parse_path, required=True, help="the file to write: .blend, .ply or .obj")
-    parser.add_argument("--report", type=command_line.parse_path, help="write a report of the run to this JSON file")
+    parser.add_argument("--path", type=run_files.INPUT, help="a .csv file with further positions of the viewer, x,y,z per line")
+    parser.add_argument("--out", type=run_files.OUTPUT, required=True, help="the file to write: .blend, .ply or .obj")
+    parser.add_argument("--report", type=run_files.REPORT, help="write a report of the run to this JSON file")
     add_flags(parser, ClipboxSettings)
     parser.add_argument("--convert-to-mesh", action="store_true", help="for a .blend: write regular meshes that do not need Farfield")
     add_flags(parser.add_argument_group("with --convert-to-mesh"), ConvertSettings)
@@ -69,7 +70,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     if convert_settings is not None and out.suffix.lower() != ".blend":
         raise FileError(f'--out is "{given.out}"; with --convert-to-mesh it must end in .blend.')
     sources = {"--source": settings.source, "--source-color": settings.source_color}
-    check_outputs({"--out": out}, {"--path": given.path} | {flag: Path(text) for flag, text in sources.items() if text}, given.report)
+    given.files.check(inputs=[Input(flag, Path(text)) for flag, text in sources.items() if text])
     positions = [parse_position(given.at), *(read_path(given.path.absolute()) if given.path is not None else [])]
     for position in positions:
         check_viewer(position, settings.voxel_size)

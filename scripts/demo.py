@@ -10,6 +10,7 @@ results (report.json, report.md).
 --input uses your own mesh instead of the tree; --quick uses fewer leaves, a larger error, and fewer and smaller renders.
 """
 
+import json
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,11 +30,13 @@ import billboards
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud
 from farfield.addon.core.billboards.settings import BillboardSettings, BuildOptions
 from farfield.addon.core.btf.settings import BtfSettings
+from farfield.addon.core.errors import FileError
+from farfield.addon.core.files.file_access import check_writable, convert_os_errors
 from farfield.addon.core.geometry.directions import held_out_views
 from farfield.addon.core.jobs.progress import StageClock, run_to_end, subprogress
 from farfield.addon.operators.job_run import run_job
-from lib import command_line, scene_files
-from lib.atomic_output import atomic_folder, check_writable
+from lib import command_line, run_files, scene_files
+from lib.atomic_output import atomic_folder
 from lib.comparison import Comparison, compare_cloud, draw_comparison_sheet
 from lib.contact_sheet import write_png
 from lib.demo_forest import DAY, TREE_COUNT, render_day, write_forest
@@ -121,6 +124,24 @@ BUILD_END, COMPARISON_END, RELIGHTING_END, FOREST_END, PHOTOS_END, TERRAIN_END =
 )  # fractions of the progress
 
 
+def check_demo_folder(folder: Path) -> None:
+    """Raise FileError if nothing can be written to `folder`, or if it has other files than those of an earlier demo."""
+    path = folder / "report.json"
+    check_writable(path)
+    with convert_os_errors(f'Cannot read "{folder}"'):
+        if not folder.is_dir() or not any(folder.iterdir()):
+            return
+        try:
+            is_demo = set(json.loads(path.read_text(encoding="utf-8"))) >= {"levels", "forest", "texmesh"}
+        except (FileNotFoundError, TypeError, ValueError):
+            is_demo = False
+    if not is_demo:
+        raise FileError(f'The folder "{folder}" contains other files; choose an empty or a new folder.')
+
+
+DEMO_FOLDER = run_files.PathType(is_output=True, is_folder=True, check=check_demo_folder)
+
+
 def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     """Run the demo and return its result in one line; raises FarfieldError for an invalid input or folder."""
     parser = command_line.Parser(
@@ -128,13 +149,14 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
         description="Grow a tree, build its billboard cloud, make it relightable, plant a forest, make a texture from photographs, "
         "fly over a terrain, and make levels of a textured mesh.",
     )
-    parser.add_argument("--input", type=Path, help="your own mesh instead of the tree: .blend .obj .ply .stl .glb .gltf .fbx .usd")
+    parser.add_argument(
+        "--input", type=run_files.INPUT, help="your own mesh instead of the tree: .blend .obj .ply .stl .glb .gltf .fbx .usd"
+    )
     parser.add_argument("--quick", action="store_true", help="fewer leaves, a larger error and fewer renders; takes about a minute")
-    parser.add_argument("--out", type=Path, default=Path("out") / "demo", help="the folder for the results (default: out/demo)")
+    parser.add_argument("--out", type=DEMO_FOLDER, default=Path("out") / "demo", help="the folder for the results (default: out/demo)")
     given = parser.parse_args(arguments)
     preset = QUICK if given.quick else FULL
     out = given.out.absolute()
-    check_writable(out / "report.json")
     clock = StageClock()
     with clock.stage("scene"):
         prepare_scene(given.input, preset)

@@ -20,22 +20,22 @@ environment.import_farfield()
 
 import bpy
 
-from farfield.addon.core.errors import FileError
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
-from farfield.addon.core.packages.files import read_package
+from farfield.addon.core.packages.files import check_package_folder, read_package
 from farfield.addon.core.packages.package import PackageReport
 from farfield.addon.core.packages.settings import PackageSettings
 from farfield.addon.core.settings import add_flags, describe, from_flags
 from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.operators.job_run import run_job
 from farfield.addon.operators.packages.operators import prepare_packages
-from lib import command_line
+from lib import command_line, run_files
 from lib.connection_rate import ConnectionRate, parse_rate
 from lib.texmesh_inputs import open_objects, read_level_settings
 
 LOOPBACK = "127.0.0.1"
 FIXED = ("vertices", "rebake_textures")  # settings of levels that packages do not leave open
 DEFAULT_PORT = 8765
+PACKAGES = run_files.PathType(is_output=True, is_folder=True, check=check_package_folder)
 
 
 def build_parser() -> command_line.Parser:
@@ -43,16 +43,16 @@ def build_parser() -> command_line.Parser:
     parser = command_line.Parser(prog="packages.py", description="Build, check and serve packages of textured models for a web page.")
     commands = parser.add_subparsers(dest="command", required=True, metavar="build|verify|serve|view")
     build = commands.add_parser("build", description="Build a package of files for a web server, with a page that shows it in time.")
-    build.add_argument("input", type=command_line.parse_path, help="a .blend .obj .ply .stl .glb .gltf .fbx or .usd file")
-    build.add_argument("--out", type=command_line.parse_path, required=True, help="the folder to write; one folder in it per object")
-    build.add_argument("--report", type=command_line.parse_path, help="write a report of the run to this JSON file")
+    build.add_argument("input", type=run_files.INPUT, help="a .blend .obj .ply .stl .glb .gltf .fbx or .usd file")
+    build.add_argument("--out", type=PACKAGES, required=True, help="the folder to write; one folder in it per object")
+    build.add_argument("--report", type=run_files.REPORT, help="write a report of the run to this JSON file")
     add_flags(build, TexmeshSettings, [item.name for item in describe(TexmeshSettings) if item.name not in FIXED])
     add_flags(build, PackageSettings)
     verify = commands.add_parser("verify", description="Check every byte of a package.")
     serve = commands.add_parser("serve", description="Serve a package over HTTP, by default on this machine only.")
     view = commands.add_parser("view", description="Serve a package on this machine and show it in the web browser.")
     for command in (verify, serve, view):
-        command.add_argument("folder", type=command_line.parse_path, help="the folder of a package")
+        command.add_argument("folder", type=run_files.CLOSED_FOLDER, help="the folder of a package")
     serve.add_argument("--address", default=LOOPBACK, help=f"address to listen on; others than {LOOPBACK} can be reached from elsewhere")
     for command in (serve, view):
         command.add_argument("--port", type=int, default=DEFAULT_PORT, help=f"port, 0 for a free one (default: {DEFAULT_PORT})")
@@ -73,11 +73,9 @@ def build(given: Namespace, line: command_line.ProgressLine) -> str:
     settings = read_level_settings(given)
     package_settings = from_flags(PackageSettings, given)
     out = given.out.absolute()
-    if out.is_file():
-        raise FileError(f'--out is the file "{given.out}"; give a folder.')
     clock = StageClock()
     with clock.stage("read"):
-        job = prepare_packages(bpy.context, open_objects(given.input), settings, package_settings, out)
+        job = prepare_packages(bpy.context, open_objects(given), settings, package_settings, out)
     with clock.stage("build"):
         summary = run_to_end(run_job(job), line.show)
     line.clear()

@@ -28,6 +28,7 @@ from farfield.addon.bridge.photos.photo_files import apply_mask_file, check_mask
 from farfield.addon.bridge.photos.results import assign_texture, create_textures
 from farfield.addon.bridge.photos.surfaces import read_surface
 from farfield.addon.core.errors import FileError
+from farfield.addon.core.files.outputs import Output
 from farfield.addon.core.files.scratch import Scratch
 from farfield.addon.core.geometry.lenses import PhotoCamera
 from farfield.addon.core.geometry.mesh import TriangleMesh
@@ -45,10 +46,11 @@ from farfield.addon.core.settings import add_flags
 from farfield.addon.core.unwrap.settings import UnwrapSettings
 from farfield.addon.operators.job_run import run_job
 from farfield.addon.operators.unwrap import job as unwrap_job
-from lib import command_line, scene_files
-from lib.atomic_output import atomic_folder, check_outputs
-from lib.contact_sheet import write_png
+from lib import command_line, run_files, scene_files
+from lib.atomic_output import atomic_folder
+from lib.contact_sheet import is_own_png, write_png
 from lib.numbered_files import UDIM
+from lib.run_files import RunFiles, obj_materials
 from lib.script_stdout import mute_stderr
 from lib.texture_paths import TexturePaths, first_path
 from lib.tile_materials import split_tiles
@@ -60,29 +62,29 @@ MAPS = ("confidence", "source", "holes")
 def build_parser() -> command_line.Parser:
     """Return the parser of all arguments of the script."""
     parser = command_line.Parser(prog="photos.py", description="Create one texture for a mesh from registered photographs.")
-    parser.add_argument("input", type=command_line.parse_path, help="a .blend .obj .ply .stl .glb .gltf .fbx or .usd file")
+    parser.add_argument("input", type=run_files.INPUT, help="a .blend .obj .ply .stl .glb .gltf .fbx or .usd file")
     parser.add_argument(
         "--cameras",
-        type=command_line.parse_path,
+        type=run_files.INPUT,
         required=True,
         help="the cameras: a folder of COLMAP, or a transforms.json, .sfm, .out, .nvm, .mvs, .xml or .pairs file",
     )
-    parser.add_argument("--images", type=command_line.parse_path, required=True, help="the folder of the photographs")
-    parser.add_argument("--masks", type=command_line.parse_path, help="a folder of masks NAME.png or NAME.jpg.png, white where usable")
-    parser.add_argument("--out", type=command_line.parse_path, help="the textured mesh to write: .blend, .obj or .glb")
+    parser.add_argument("--images", type=run_files.INPUT, required=True, help="the folder of the photographs")
+    parser.add_argument("--masks", type=run_files.INPUT, help="a folder of masks NAME.png or NAME.jpg.png, white where usable")
+    parser.add_argument("--out", type=run_files.OUTPUT_SCENE, help="the textured mesh to write: .blend, .obj or .glb")
     parser.add_argument(
         "--texture",
-        type=command_line.parse_path,
+        type=run_files.OUTPUT,
         required=True,
         help="the texture to write, a PNG file; <UDIM> and <MATERIAL> in its name stand for tiles and materials",
     )
-    parser.add_argument("--overlays", type=command_line.parse_path, help="a folder for pictures of the photographs with the mesh")
-    parser.add_argument("--stages", type=command_line.parse_path, help="a folder for pictures of the stages of the merge")
+    parser.add_argument("--overlays", type=run_files.IMAGE_FOLDER, help="a folder for pictures of the photographs with the mesh")
+    parser.add_argument("--stages", type=run_files.IMAGE_FOLDER, help="a folder for pictures of the stages of the merge")
     parser.add_argument(
         "--refine", nargs="*", metavar="PHOTOGRAPH", help="refine the cameras of these photographs, or all, against the others first"
     )
     parser.add_argument("--refine-lens", action="store_true", help="with --refine, refine focal length and distortion, too")
-    parser.add_argument("--report", type=command_line.parse_path, help="write a report of the run to this JSON file")
+    parser.add_argument("--report", type=run_files.REPORT, help="write a report of the run to this JSON file")
     add_flags(parser, PhotosSettings)
     return parser
 
@@ -96,16 +98,18 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
         raise FileError(f'--texture is "{given.texture}"; it must end in .png.')
     if given.out is not None and given.out.suffix.lower() not in EXTENSIONS:
         raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(EXTENSIONS)}.')
-    check_files(given, [first_path(texture)])
+    if given.out is not None:
+        given.files.check(obj_materials(given.out.absolute()))
+    check_files(given, texture, [first_path(texture)])
     with Scratch() as scratch:
         return merge_files(given, settings, texture, scratch, line)
 
 
-def check_files(given: Namespace, textures: list[Path]) -> None:
-    """Raise FileError if a file cannot be written, or would replace another one or the input."""
-    outputs = {"--out": given.out} | {"--texture" if len(textures) == 1 else f'--texture "{path.name}"': path for path in textures}
-    outputs |= {f'the {name} map of "{path.name}"': map_path(path, name) for path in textures for name in MAPS}
-    check_outputs(outputs, {"the input": given.input}, given.report)
+def check_files(given: Namespace, texture: Path, pages: list[Path]) -> None:
+    """Raise FileError if a page of the texture or a map cannot be written, or would replace another file or an input."""
+    outputs = [Output(f'--texture "{path.name}"', path) for path in pages if path != texture]
+    outputs += [Output(f'the {name} map of "{path.name}"', map_path(path, name), is_ours=is_own_png) for path in pages for name in MAPS]
+    given.files.check(outputs)
 
 
 def map_path(texture: Path, name: str) -> Path:
@@ -119,7 +123,7 @@ def merge_files(given: Namespace, settings: PhotosSettings, texture: Path, scrat
     with clock.stage("cameras"):
         cameras = read_cameras(given.cameras.absolute(), size_reader(given.images.absolute()))
     with clock.stage("mesh"):
-        objects = read_objects(given.input.absolute())
+        objects = read_objects(given.input.absolute(), given.files)
     with clock.stage("unwrap"):
         unwrapped = unwrap_missing(objects, line)
     instances = read_instances(objects, bpy.context.evaluated_depsgraph_get())
@@ -127,7 +131,7 @@ def merge_files(given: Namespace, settings: PhotosSettings, texture: Path, scrat
     surface = read_surface(instances)
     layout = lay_out_pages(surface.corner_uvs, None if groups is None else groups.triangles)
     paths = TexturePaths(texture, layout, None if groups is None else groups.names)
-    check_files(given, paths.pages)
+    check_files(given, texture, paths.pages)
     with clock.stage("photographs"), mute_stderr():
         photographs = read_photographs(given, cameras, scratch)
     refined = []
@@ -173,9 +177,9 @@ def read_photographs(given: Namespace, cameras: list[PhotoCamera], scratch: Scra
     return photographs
 
 
-def read_objects(path: Path) -> list[bpy.types.Object]:
-    """Open the scene and return its meshes, with the axes of the file."""
-    scene_files.open_scene(path)
+def read_objects(path: Path, files: RunFiles) -> list[bpy.types.Object]:
+    """Open the scene and return its meshes, with the axes of the file. Raises FileError if one of its files would be replaced."""
+    scene_files.open_scene(path, files)
     objects = scene_files.objects_in_renders([item for item in bpy.context.scene.objects if item.type == "MESH"], path)
     if path.suffix.lower() == ".obj":  # which Blender's importer turns
         for item in objects:

@@ -27,8 +27,7 @@ from farfield.addon.core.jobs.progress import StageClock, Steps, run_to_end, sub
 from farfield.addon.core.messages import format_count
 from farfield.addon.core.restore.settings import MaskSettings, RestoreSettings
 from farfield.addon.core.settings import add_flags, check, describe, with_flags
-from lib import command_line
-from lib.atomic_output import check_writable
+from lib import command_line, run_files
 from lib.restore_jobs import ImageJob, list_jobs, publish, restore_image
 
 TOLERANCE = next(item for item in describe(MaskSettings) if item.name == "color_tolerance")
@@ -40,18 +39,19 @@ def build_parser() -> command_line.Parser:
         prog="restore.py",
         description="Fill the missing parts of an image with structure and texture. --sub-bands without --split implies --split manual.",
     )
-    path = command_line.parse_path
-    parser.add_argument("image", type=path, help="a .png, .tif, .jpg or .exr file; name.<UDIM>.png for tiles, name_####.png for frames")
+    parser.add_argument(
+        "image", type=run_files.INPUT, help="a .png, .tif, .jpg or .exr file; name.<UDIM>.png for tiles, name_####.png for frames"
+    )
     parser.add_argument("mask", help="an image that is bright where pixels are missing, the word alpha, or a color #RRGGBB")
-    parser.add_argument("--out", type=path, required=True, help="the file to write: .png, .tif, .jpg or .exr")
+    parser.add_argument("--out", type=run_files.OUTPUT, required=True, help="the file to write: .png, .tif, .jpg or .exr")
     parser.add_argument(TOLERANCE.flag, default="2%", help="largest difference from the color of MASK, 0 to 100%% (default: 2%%)")
-    parser.add_argument("--source-mask", type=path, help="an image that is bright where texture may be copied from")
-    parser.add_argument("--barriers", type=path, help="an image that is bright where diffusion must not pass")
+    parser.add_argument("--source-mask", type=run_files.INPUT, help="an image that is bright where texture may be copied from")
+    parser.add_argument("--barriers", type=run_files.INPUT, help="an image that is bright where diffusion must not pass")
     parser.add_argument("--data", action="store_true", help="the image is data instead of color, used as it is stored")
     parser.add_argument("--normal-map", action="store_true", help="the image is a normal map: data, and the result is normalized")
-    parser.add_argument("--stages", type=path, help="write images of the stages to this folder, as PNG files")
-    parser.add_argument("--curve", type=path, help="draw the curve that decides about --split auto, as a PNG file")
-    parser.add_argument("--report", type=path, help="write a report of the run to this JSON file")
+    parser.add_argument("--stages", type=run_files.IMAGE_FOLDER, help="write images of the stages to this folder, as PNG files")
+    parser.add_argument("--curve", type=run_files.OUTPUT, help="draw the curve that decides about --split auto, as a PNG file")
+    parser.add_argument("--report", type=run_files.REPORT, help="write a report of the run to this JSON file")
     add_flags(parser, RestoreSettings)
     return parser
 
@@ -64,7 +64,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     check_flags(given, settings)
     jobs = list_jobs(given)
     for job in jobs:
-        job.check(given.report)
+        job.check(given.files)
     clock = StageClock()
     folder = existing_folder(jobs[0].paths["out"])
     with convert_os_errors(f'Cannot write in "{folder}"'), temporary_folder(folder) as scratch:
@@ -124,8 +124,6 @@ def check_flags(given: argparse.Namespace, settings: RestoreSettings) -> None:
         raise FileError(f'--curve is "{given.curve}"; it must end in .png.')
     if given.curve is not None and settings.split != "auto":
         raise SettingsError("--curve draws what decides about --split auto; leave out --curve or the other split.")
-    if given.stages is not None:
-        check_writable(given.stages.absolute() / "stage.png")
 
 
 def existing_folder(path: Path) -> Path:

@@ -7,7 +7,6 @@ single one). `--number`, `--max-triangles`, `--max-size`, `--max-pixels` or `--r
 `blender --background --python scripts/texmesh.py -- levels INPUT --out OUT` does the same.
 """
 
-import re
 import sys
 from argparse import Namespace
 from pathlib import Path
@@ -23,7 +22,7 @@ environment.import_farfield()
 import bpy
 
 from farfield.addon.bridge.overlays.line_chart import draw_line_chart
-from farfield.addon.bridge.texmesh.glb_levels import write_levels
+from farfield.addon.bridge.texmesh.glb_levels import existing_level_outputs, write_levels
 from farfield.addon.bridge.texmesh.level_sets import read_level_set
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
@@ -32,8 +31,8 @@ from farfield.addon.core.texmesh.scale_space.features import ScaleMap
 from farfield.addon.core.texmesh.settings import AnalysisSettings, SceneSettings, TexmeshSettings
 from farfield.addon.operators.job_run import run_job
 from farfield.addon.operators.texmesh.job import AnalysisJob, LevelsJob, describe_chain, prepare_analysis, prepare_levels
-from lib import command_line, scene_files
-from lib.atomic_output import atomic_file, check_outputs
+from lib import command_line, run_files, scene_files
+from lib.atomic_output import atomic_file
 from lib.contact_sheet import write_png
 from lib.texmesh_inputs import open_objects, read_level_settings
 
@@ -47,12 +46,12 @@ def build_parser() -> command_line.Parser:
     levels = commands.add_parser("levels", description="Make levels of detail.")
     analyze = commands.add_parser("analyze", description="Find the features of meshes at 21 scales.")
     for command in (levels, analyze):
-        command.add_argument("input", type=command_line.parse_path, help="a .blend .obj .ply .stl .glb .gltf .fbx or .usd file")
-        command.add_argument("--report", type=command_line.parse_path, help="write a report of the run to this JSON file")
-    levels.add_argument("--out", type=command_line.parse_path, required=True, help="the file to write: .blend or .glb")
+        command.add_argument("input", type=run_files.INPUT, help="a .blend .obj .ply .stl .glb .gltf .fbx or .usd file")
+        command.add_argument("--report", type=run_files.REPORT, help="write a report of the run to this JSON file")
+    levels.add_argument("--out", type=run_files.OUTPUT_SCENE, required=True, help="the file to write: .blend or .glb")
     levels.add_argument("--one-file", action="store_true", help="write one .glb with all levels (MSFT_lod) instead of one per level")
     levels.add_argument("--no-quantized", dest="quantized", action="store_false", help="store numbers in a .glb in single precision")
-    analyze.add_argument("--plot", type=command_line.parse_path, help="draw features and ranges of the largest mesh to this PNG file")
+    analyze.add_argument("--plot", type=run_files.OUTPUT, help="draw features and ranges of the largest mesh to this PNG file")
     for settings_type in (TexmeshSettings, SceneSettings):
         add_flags(levels, settings_type)
     add_flags(analyze, AnalysisSettings)
@@ -71,11 +70,11 @@ def make_levels(given: Namespace, line: command_line.ProgressLine) -> str:
     out = given.out.absolute()
     if out.suffix.lower() not in EXTENSIONS:
         raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(EXTENSIONS)}.')
-    check_outputs({"--out": out}, {"the input": given.input}, given.report)
-    check_level_files(out, given)
+    if out.suffix.lower() == ".glb" and not given.one_file:
+        given.files.check(existing_level_outputs(out))
     clock = StageClock()
     with clock.stage("read"):
-        job = prepare_levels(bpy.context, open_objects(given.input), settings, scene_settings)
+        job = prepare_levels(bpy.context, open_objects(given), settings, scene_settings)
     with clock.stage("levels"):
         summary = run_to_end(run_job(job), line.show)
     line.clear()
@@ -90,10 +89,9 @@ def analyze(given: Namespace, line: command_line.ProgressLine) -> str:
     settings = command_line.read_settings(given, AnalysisSettings)[AnalysisSettings]
     if given.plot is not None and given.plot.suffix.lower() != ".png":
         raise FileError(f'--plot is "{given.plot}"; it must end in .png.')
-    check_outputs({"--plot": given.plot}, {"the input": given.input}, given.report)
     clock = StageClock()
     with clock.stage("read"):
-        job = prepare_analysis(bpy.context, open_objects(given.input), settings)
+        job = prepare_analysis(bpy.context, open_objects(given), settings)
     with clock.stage("analyze"):
         summary = run_to_end(run_job(job), line.show)
     line.clear()
@@ -101,16 +99,6 @@ def analyze(given: Namespace, line: command_line.ProgressLine) -> str:
         write_plot(job, given.plot.absolute())
     write_report(given, [describe_map(name, scale_map) for name, scale_map in job.results], job.skipped, clock)
     return summary
-
-
-def check_level_files(out: Path, given: Namespace) -> None:
-    """Raise FileError if a file of a level would replace the input or the report."""
-    if out.suffix.lower() != ".glb" or given.one_file:
-        return
-    pattern = re.compile(re.escape(out.stem) + r"-L\d+" + re.escape(out.suffix), re.IGNORECASE)
-    for name, path in (("the input", given.input), ("--report", given.report)):
-        if path is not None and path.absolute().parent.resolve() == out.parent.resolve() and pattern.fullmatch(path.name):
-            raise FileError(f'A level of --out and {name} are the same file "{path}"; choose different files.')
 
 
 def write_output(job: LevelsJob, out: Path, given: Namespace) -> None:

@@ -27,8 +27,8 @@ from farfield.addon.core.settings import add_flags
 from farfield.addon.core.unwrap.settings import UnwrapSettings
 from farfield.addon.operators.job_run import run_job
 from farfield.addon.operators.unwrap.job import UnwrapJob, prepare
-from lib import command_line, scene_files
-from lib.atomic_output import atomic_file, check_outputs
+from lib import command_line, run_files, scene_files
+from lib.atomic_output import atomic_file
 from lib.script_stdout import mute_stderr
 
 EXTENSIONS = (".blend", ".obj", ".glb")
@@ -40,12 +40,10 @@ def build_parser() -> command_line.Parser:
     parser = command_line.Parser(
         prog="unwrap.py", description="Create low-stretch UV maps with more texels in important areas for the meshes of a file."
     )
-    parser.add_argument("input", type=command_line.parse_path, help="a .blend .obj .ply .stl .glb .gltf .fbx or .usd file")
-    parser.add_argument("--out", type=command_line.parse_path, required=True, help="the file to write: .blend, .obj or .glb")
-    parser.add_argument("--report", type=command_line.parse_path, help="write a report of the run to this JSON file")
-    parser.add_argument(
-        "--image", type=command_line.parse_path, help="write the UV map of the first mesh, colored by stretch, to this PNG file"
-    )
+    parser.add_argument("input", type=run_files.INPUT, help="a .blend .obj .ply .stl .glb .gltf .fbx or .usd file")
+    parser.add_argument("--out", type=run_files.OUTPUT_SCENE, required=True, help="the file to write: .blend, .obj or .glb")
+    parser.add_argument("--report", type=run_files.REPORT, help="write a report of the run to this JSON file")
+    parser.add_argument("--image", type=run_files.OUTPUT, help="write the UV map of the first mesh, colored by stretch, to this PNG file")
     add_flags(parser, UnwrapSettings)
     return parser
 
@@ -61,10 +59,9 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
         raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(EXTENSIONS)}.')
     if given.image is not None and given.image.suffix.lower() != ".png":
         raise FileError(f'--image is "{given.image}"; it must end in .png.')
-    check_outputs({"--out": out, "--image": given.image}, {"the input": given.input}, given.report)
     clock = StageClock()
     with clock.stage("read"):
-        scene_files.open_scene(given.input.absolute())
+        scene_files.open_scene(given.input.absolute(), given.files)
         scene_files.objects_in_renders([item for item in bpy.context.scene.objects if item.type == "MESH"], given.input)
         job = prepare(bpy.context, [item for item in bpy.context.scene.objects if not item.hide_render], settings)
     for reason in job.skipped:

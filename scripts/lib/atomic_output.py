@@ -1,6 +1,6 @@
 """Output files that appear complete or not at all."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -39,29 +39,6 @@ def check_writable(*paths: Path | None) -> None:
     for path in paths:
         if path is not None:
             file_access.check_writable(path)
-
-
-def check_outputs(outputs: Mapping[str, Path | None], inputs: Mapping[str, Path | None], report: Path | None = None) -> None:
-    """Check before any work is done that all files can be written, and that none replaces another one or an input.
-
-    outputs, inputs: paths by the names that messages use, for instance "--out"; those that are None are skipped. report: the path of
-    --report, which may also be a device or a pipe. A .blend file may be an input and --out: it is then changed in place.
-
-    Raises:
-        FileError: a file cannot be written, or would replace another one.
-    """
-    given_inputs = {name: path for name, path in inputs.items() if path is not None}
-    checked: dict[str, Path] = {}
-    is_file = report is not None and not file_access.is_stream(report)
-    for name, path in {**outputs, "--report": report if is_file else None}.items():
-        if path is None:
-            continue
-        file_access.check_writable(path)
-        for other, other_path in {**checked, **given_inputs}.items():
-            is_in_place = name == "--out" and other in given_inputs and path.suffix.lower() == ".blend"
-            if not is_in_place and file_access.is_same_file(path, other_path):
-                raise FileError(f'{name} and {other} are the same file "{path}"; choose different files.')
-        checked[name] = path
 
 
 @contextmanager

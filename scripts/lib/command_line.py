@@ -34,6 +34,7 @@ from farfield.addon.core.messages import single_line
 from farfield.addon.core.settings import Settings, flag_of, from_flags, unused_flags, with_flags
 from farfield.addon.operators.job_run import format_duration
 from lib.atomic_output import atomic_file
+from lib.run_files import PathType, RunFiles
 from lib.script_stdout import discard, script_stdout
 
 SUCCESS, DEFECT, INVALID_INPUT, CANCELLED = 0, 1, 2, 130
@@ -59,7 +60,13 @@ class Parser(argparse.ArgumentParser):
         self.add_argument("--verbose", action="store_true", help="also print the messages of Blender, its add-ons and Cycles")
 
     def parse_args(self, args: list[str], namespace: argparse.Namespace | None = None) -> argparse.Namespace:
-        """Parse `args`. The result has no attribute `verbose`: `run` reads that flag."""
+        """Parse `args` and check the files that they name.
+
+        The result has an attribute `files` with these files, but none `verbose`: `run` reads that flag.
+
+        Raises:
+            FileError: an output cannot be written, or would replace an input; see `check_outputs`.
+        """
         joined: list[str] = []
         for argument in args:
             if NEGATIVE_NUMBER.match(argument) and joined and joined[-1].startswith("--") and "=" not in joined[-1]:
@@ -71,11 +78,32 @@ class Parser(argparse.ArgumentParser):
         for name, value in vars(parsed).items():
             if isinstance(value, str) and not is_unicode(value):
                 self.error(f"{flag_of(name)} is not valid UTF-8 text; write it with other characters")
+        parsed.files = RunFiles()
+        for action in self.path_arguments(getattr(parsed, "command", None)):
+            given = getattr(parsed, action.dest)
+            for path in given if isinstance(given, list) else [given]:
+                if path is not None:
+                    parsed.files.add_argument(argument_name(action), action.type, path)
+        parsed.files.check()
         return parsed
+
+    def path_arguments(self, command: str | None = None) -> list[argparse.Action]:
+        """Return the arguments that are paths, with those of `command` if the parser has commands."""
+        parsers = [self, *self.commands(command)]
+        return [action for parser in parsers for action in parser._actions if isinstance(action.type, PathType)]
+
+    def commands(self, name: str | None) -> list[argparse.ArgumentParser]:
+        """Return the parser of the command `name`; none without commands."""
+        return [action.choices[name] for action in self._actions if isinstance(action, argparse._SubParsersAction)]
 
     def error(self, message: str) -> NoReturn:
         """Print `message` to stderr and exit with code 2."""
         self.exit(INVALID_INPUT, single_line(f"{self.prog}: {message}") + "\n")
+
+
+def argument_name(action: argparse.Action) -> str:
+    """Return what messages call an argument: its flag, or "the input"."""
+    return action.option_strings[0] if action.option_strings else f"the {action.dest.removesuffix('s')}"
 
 
 class ProgressLine:
@@ -123,19 +151,6 @@ class ProgressLine:
                 sys.stderr.write("\r" + text[:LINE_WIDTH].ljust(LINE_WIDTH) + ("" if text else "\r"))
                 sys.stderr.flush()
             self._last = text
-
-
-def parse_path(text: str) -> Path:
-    """Return the path written as `text` on a command line; the type of arguments that are paths.
-
-    Raises:
-        argparse.ArgumentTypeError: it is empty, or no text.
-    """
-    if not text.strip():
-        raise argparse.ArgumentTypeError('the path is empty; write "." for the current folder')
-    if not is_unicode(text):
-        raise argparse.ArgumentTypeError(f'the path "{single_line(text)}" is not valid UTF-8 text; rename the file or the folder')
-    return Path(text)
 
 
 def read_settings(arguments: argparse.Namespace, *settings_types: type[Settings]) -> dict[type[Settings], Any]:

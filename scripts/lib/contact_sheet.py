@@ -15,10 +15,14 @@ from lib import environment
 environment.import_farfield()
 
 from farfield.addon.bridge.overlays.line_chart import LINE_HEIGHT, PAPER_GRAY, draw_text, rasterize_text
+from farfield.addon.core.errors import FileError
+from farfield.addon.core.files.file_access import convert_os_errors
 
 GAP = 10
 SAMPLE_BYTES = 1 << 20  # by which the filter of a PNG is chosen
 LARGE_BYTES = 1 << 24  # For larger images, speed counts more than size.
+SOFTWARE = b"Software\x00Farfield"  # a text in the files, by which they are recognized
+MAX_HEADER_BYTES = 256
 
 
 def draw_contact_sheet(
@@ -52,18 +56,42 @@ def enlarge(image: np.ndarray, factor: int) -> np.ndarray:
 
 
 def write_png(path: Path, image: np.ndarray) -> None:
-    """Write an image (H, W, 3) of sRGB values in 0..1, row 0 at the bottom, as an 8-bit PNG."""
+    """Write an image (H, W, 3) of sRGB values in 0..1, row 0 at the bottom, as an 8-bit PNG that `is_own_png` recognizes."""
     values = np.clip(np.rint(image[::-1] * 255.0), 0, 255).astype(np.uint8)
     height, width = values.shape[:2]
     sample = values[: max(SAMPLE_BYTES // (3 * width), 1)]
     filter_type = min(range(3), key=lambda each: len(_compress_rows(sample, each, 6)))
     data = _compress_rows(values, filter_type, 9 if values.size < LARGE_BYTES else 4)
     header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    chunks = [(b"IHDR", header), (b"IDAT", data), (b"IEND", b"")]
+    chunks = [(b"IHDR", header), (b"tEXt", SOFTWARE), (b"IDAT", data), (b"IEND", b"")]
     with path.open("wb") as file:
         file.write(b"\x89PNG\r\n\x1a\n")
         for name, content in chunks:
             file.write(struct.pack(">I", len(content)) + name + content + struct.pack(">I", zlib.crc32(name + content)))
+
+
+def is_own_png(path: Path) -> bool:
+    """Whether `path` is a file that `write_png` wrote. False if it does not exist or cannot be read."""
+    try:
+        if not path.is_file():
+            return False
+        with path.open("rb") as file:
+            return b"tEXt" + SOFTWARE in file.read(MAX_HEADER_BYTES)
+    except (OSError, ValueError):
+        return False
+
+
+def check_own_images(folder: Path) -> None:
+    """Check that all PNG files in `folder` were written by `write_png`, so that they may be replaced.
+
+    Raises:
+        FileError: one was not, or the folder cannot be read.
+    """
+    with convert_os_errors(f'Cannot read "{folder}"'):
+        paths = sorted(folder.glob("*.[pP][nN][gG]")) if folder.is_dir() else []
+    for path in paths:
+        if not is_own_png(path):
+            raise FileError(f'The folder "{folder}" contains other images, such as "{path.name}"; choose an empty or a new folder.')
 
 
 def _compress_rows(values: np.ndarray, filter_type: int, level: int) -> bytes:

@@ -15,16 +15,18 @@ environment.import_farfield()
 from farfield.addon.bridge.imaging.image_files import read_image_file, write_image_file
 from farfield.addon.bridge.imaging.image_storage import ImageFile
 from farfield.addon.core.errors import FileError, ImageError
-from farfield.addon.core.files.file_access import check_readable, is_same_file
+from farfield.addon.core.files.file_access import check_readable
+from farfield.addon.core.files.outputs import Input, Output
 from farfield.addon.core.jobs.progress import StageClock, Steps
 from farfield.addon.core.restore.frequency_split import MAX_DEVIATION
 from farfield.addon.core.restore.restoration import Restoration, restore
 from farfield.addon.core.restore.settings import RestoreSettings
-from lib.atomic_output import atomic_file, atomic_folder, check_outputs
+from lib.atomic_output import atomic_file, atomic_folder
 from lib.contact_sheet import write_png
 from lib.kappa_chart import draw_kappa_chart
 from lib.numbered_files import find_numbers, find_placeholder, numbered_path
 from lib.restore_masks import is_mask_file, masked_pixels, read_mask
+from lib.run_files import RunFiles
 from lib.script_stdout import mute_stderr
 
 BAND_PREFIX = "high"  # Stages with this prefix have the mean 0 and are shown around middle gray.
@@ -45,12 +47,16 @@ class ImageJob:
     paths: dict[str, Path]
     mask_rule: str | None
 
-    def check(self, report: Path | None) -> None:
+    def check(self, files: RunFiles) -> None:
         """Raise FileError if an input cannot be read, or an output cannot be written or would replace another file of the run."""
         inputs = {INPUTS[name]: self.paths[name] for name in INPUTS if name in self.paths}
         for path in inputs.values():
             check_readable(path)
-        check_outputs({OUTPUTS[name]: self.paths[name] for name in OUTPUTS if name in self.paths}, inputs, report)
+        if self.number is None:  # the arguments have been checked, but for the mask, which may also be a word
+            files.check(inputs=[Input(INPUTS["mask"], self.paths["mask"])] if "mask" in self.paths else [])
+        else:
+            outputs = [Output(f'{OUTPUTS[name]} "{self.paths[name].name}"', self.paths[name]) for name in OUTPUTS if name in self.paths]
+            files.check(outputs, [Input(f'{name} "{path.name}"', path) for name, path in inputs.items()])
 
     def scratch_path(self, name: str, scratch: Path) -> Path:
         """Return where the output `name` is kept until all images are done; it has the file name that it will get."""
@@ -170,13 +176,9 @@ def publish(jobs: list[ImageJob], stages: Path | None, scratch: Path) -> None:
     """Move all outputs from the folder `scratch` to their paths.
 
     Raises:
-        FileError: one cannot be written, or a stage would replace an input or an output.
+        FileError: one cannot be written.
     """
     names = sorted(path.name for path in (scratch / "stages").iterdir()) if (scratch / "stages").is_dir() else []
-    for name in names:
-        for job in jobs:
-            if any(is_same_file(stages / name, path) for path in job.paths.values()):
-                raise FileError(f'The stage "{stages / name}" would replace an input or an output; choose another folder for --stages.')
     if names:
         _publish_folder(stages, scratch / "stages", names)
     for name in ("curve", "out"):  # the result comes last, from the same disk: the others may still fail

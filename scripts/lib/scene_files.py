@@ -14,6 +14,7 @@ from farfield.addon.core.files.complete_files import is_complete_blend
 from farfield.addon.core.files.file_access import check_readable
 from lib.atomic_output import atomic_file, blender_error_message
 from lib.ply_header import check_ply_header
+from lib.run_files import RunFiles
 from lib.script_stdout import mute_stderr
 
 
@@ -25,11 +26,14 @@ def _importers() -> dict[str, Callable[..., set[str]]]:
     return others | gltf | usd
 
 
-def open_scene(path: Path) -> None:
+def open_scene(path: Path, files: RunFiles | None = None) -> None:
     """Replace the scene by the contents of `path`: open a `.blend` file, import other formats into an empty scene.
 
+    files: of the run; none of its outputs may replace a file of the scene.
+
     Raises:
-        FileError: the file does not exist or is empty, its extension is unknown, or Blender cannot read it.
+        FileError: the file does not exist or is empty, its extension is unknown, Blender cannot read it, or a file of the scene would be
+            replaced.
     """
     check_readable(path)
     importers = _importers()
@@ -49,6 +53,8 @@ def open_scene(path: Path) -> None:
                 importers[extension](filepath=str(path))
     except RuntimeError as error:  # raised by Blender's operators
         raise FileError(f'Blender cannot read "{path}": {blender_error_message(error)}') from error
+    if files is not None:
+        files.check_scene(path)
 
 
 def objects_in_renders(objects: Sequence[bpy.types.Object], path: Path | None) -> list[bpy.types.Object]:

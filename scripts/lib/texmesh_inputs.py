@@ -1,7 +1,6 @@
 """What the commands of `texmesh.py` and `packages.py` read: settings and objects."""
 
 from argparse import Namespace
-from pathlib import Path
 
 import bpy
 
@@ -36,7 +35,7 @@ def read_level_settings(given: Namespace) -> TexmeshSettings:
     return settings
 
 
-def open_objects(path: Path) -> list[bpy.types.Object]:
+def open_objects(given: Namespace) -> list[bpy.types.Object]:
     """Open the input and return its meshes that are visible in renders. Raises FarfieldError."""
-    scene_files.open_scene(path.absolute())
-    return scene_files.objects_in_renders([item for item in bpy.context.scene.objects if item.type == "MESH"], path)
+    scene_files.open_scene(given.input.absolute(), given.files)
+    return scene_files.objects_in_renders([item for item in bpy.context.scene.objects if item.type == "MESH"], given.input)

@@ -77,7 +77,7 @@ def test_a_cancelled_build_resumes_with_the_same_bytes(built, tmp_path, fraction
     while next(steps).fraction < fraction:
         pass
     steps.close()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["store.build"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".store.farfield-build"]
     run_to_end(steps_of([source], tmp_path / "store", [image]))
     assert read_files(tmp_path / "store") == files
     assert [path.name for path in tmp_path.iterdir()] == ["store"]

@@ -13,7 +13,7 @@ import pytest
 
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.files.temporary_folders import temporary_folder
-from lib import command_line, environment
+from lib import command_line, environment, run_files
 from script_runs import SEPARATOR, run_script, runs_command
 
 pytest.importorskip("bpy")
@@ -28,12 +28,12 @@ farfield.register = farfield.unregister = lambda: None  # it uses no operator; i
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.files.temporary_folders import temporary_folder
 from farfield.addon.core.jobs.progress import Progress
-from lib import command_line
+from lib import command_line, run_files
 
 def main(arguments, line):
     parser = command_line.Parser("child.py", "")
     parser.add_argument("what")
-    parser.add_argument("--path", type=command_line.parse_path)
+    parser.add_argument("--path", type=run_files.parse_path)
     given = parser.parse_args(arguments)
     if given.what == "defect":
         return {}["first\\nsecond"]
@@ -206,7 +206,7 @@ class TestReport:
 def test_arguments_that_mean_nothing(arguments, message, capsys):
     parser = command_line.Parser("x.py", "")
     parser.add_argument("what")
-    parser.add_argument("--path", type=command_line.parse_path)
+    parser.add_argument("--path", type=run_files.parse_path)
     with pytest.raises(SystemExit) as caught:
         parser.parse_args(arguments)
     errors = capsys.readouterr().err

@@ -8,8 +8,8 @@ import bpy
 import pytest
 
 from farfield.addon.core.errors import FileError, GeometryError
+from farfield.addon.core.files.outputs import Output, check_outputs
 from lib import scene_files
-from lib.atomic_output import check_outputs
 from lib.ply_header import check_ply_header
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
@@ -88,9 +88,8 @@ def test_paths_that_are_no_text(extension, tmp_path, monkeypatch):
         scene_files.save_scene(path)
     (tmp_path / "\udcfe").mkdir()
     monkeypatch.chdir(tmp_path / "\udcfe")
-    for report in (None, Path("report.json")):
-        with pytest.raises(FileError, match="not valid UTF-8 text"):
-            check_outputs({"--out": None if report else Path("out.blend")}, {}, report)
+    with pytest.raises(FileError, match="not valid UTF-8 text"):
+        check_outputs([Output("--out", Path("out.blend"))], [])
 
 
 def test_importers_print_nothing_but_the_sentence(tmp_path, capfd):

@@ -1,5 +1,6 @@
 """Levels of a scene as .glb files: one per level, or one with all levels of each object (MSFT_lod and MSFT_screencoverage)."""
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -8,7 +9,9 @@ import numpy as np
 
 from ...core.errors import GeometryError
 from ...core.files.atomic_write import atomic_folder
-from ...core.files.glb import Y_UP, GlbMesh, GlbNode, GlbPrimitive, GlbScene, encode_glb
+from ...core.files.file_access import convert_os_errors
+from ...core.files.glb import Y_UP, GlbMesh, GlbNode, GlbPrimitive, GlbScene, encode_glb, is_own_glb
+from ...core.files.outputs import Output
 from ...core.texmesh.perception.switch_distances import level_coverages
 from ..geometry.evaluated_mesh import read_evaluated_mesh
 from ..geometry.meshes import find_material
@@ -34,6 +37,18 @@ def write_levels(sets: Sequence[LevelSet], path: Path, is_quantized: bool = True
             scene = build_scene_of_all(sets) if is_one_file else build_scene_of_level(sets, number)
             (folder / target.name).write_bytes(encode_glb(scene, is_quantized))
     return paths
+
+
+def existing_level_outputs(path: Path) -> list[Output]:
+    """Return the files next to `path` that have names of its levels; `write_levels` may replace those that Farfield wrote.
+
+    Raises:
+        FileError: its folder cannot be read.
+    """
+    pattern = re.compile(re.escape(path.stem) + r"-L\d+" + re.escape(path.suffix), re.IGNORECASE)
+    with convert_os_errors(f'Cannot read "{path.parent}"'):
+        found = sorted(other for other in path.parent.iterdir() if pattern.fullmatch(other.name)) if path.parent.is_dir() else []
+    return [Output(f'the level "{other.name}"', other, is_ours=is_own_glb) for other in found]
 
 
 def level_path(path: Path, number: int) -> Path:

@@ -5,7 +5,7 @@ import os
 import shutil
 import uuid
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from .file_access import check_writable, check_writable_folder, convert_os_errors, resolve_links
@@ -29,8 +29,7 @@ def atomic_write(target: Path) -> Iterator[Path]:
     with convert_os_errors(f'Cannot write "{target}"'):
         _check_target(target, target.is_dir())
         destination = resolve_links(target)
-        destination.parent.mkdir(parents=True, exist_ok=True)
-        with temporary_folder(destination.parent) as folder:
+        with _new_folder(destination.parent), temporary_folder(destination.parent) as folder:
             yield folder / target.name
             replace_durably(folder / target.name, destination)
 
@@ -43,17 +42,29 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
     Raises:
         FileError: a file cannot be written; `folder` then has no new files.
     """
-    with convert_os_errors(f'Cannot write in "{folder}"'):
-        folder.mkdir(parents=True, exist_ok=True)
-        with temporary_folder(folder) as temporary:
-            yield temporary
-            paths = sorted(temporary.iterdir())
-            for path in paths:
-                sync(path)
-                _check_target(folder / path.name, path.is_dir())
-            for path in paths:
-                _move(path, folder / path.name)
-            _sync_folder(folder)
+    with convert_os_errors(f'Cannot write in "{folder}"'), _new_folder(folder), temporary_folder(folder) as temporary:
+        yield temporary
+        paths = sorted(temporary.iterdir())
+        for path in paths:
+            sync(path)
+            _check_target(folder / path.name, path.is_dir())
+        for path in paths:
+            _move(path, folder / path.name)
+        _sync_folder(folder)
+
+
+@contextmanager
+def _new_folder(folder: Path) -> Iterator[None]:
+    """Create `folder` with those above it. If the block fails, the new ones are removed, unless there is something in them by then."""
+    missing = [each for each in (folder, *folder.parents) if not os.path.lexists(each)]
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    except BaseException:
+        with suppress(OSError):
+            for each in missing:
+                each.rmdir()
+        raise
 
 
 def write_bytes_atomically(path: Path, content: bytes) -> None:

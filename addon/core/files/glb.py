@@ -27,6 +27,8 @@ VERTEX_BUFFER, INDEX_BUFFER = 34962, 34963
 QUANTIZATION, TEXTURE_TRANSFORM, LEVELS = "KHR_mesh_quantization", "KHR_texture_transform", "MSFT_lod"
 SCREEN_COVERAGE = "MSFT_screencoverage"
 Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # from Blender's axes, z upwards, to those of glTF
+GENERATOR = "Farfield"
+MAX_ASSET_BYTES = 256  # The document begins with the name of the program that wrote it.
 IMAGE_TYPES = {b"\x89PNG\r\n\x1a\n": "image/png", b"\xff\xd8\xff": "image/jpeg"}  # first bytes of the content
 
 
@@ -191,7 +193,7 @@ def encode_glb(scene: GlbScene, is_quantized: bool = False) -> bytes:
         meshes.append({"name": mesh.name, "primitives": primitives})
     images = [{"bufferView": buffer.add_view(content, {}), "mimeType": find_image_type(content)} for content in scene.images]
     levels = {index for node in scene.nodes for index in node.levels}
-    document: dict[str, Any] = {"asset": {"version": "2.0", "generator": "Farfield"}}
+    document: dict[str, Any] = {"asset": {"version": "2.0", "generator": GENERATOR}}
     used, required = _list_extensions(scene, is_quantized, ranges)
     document |= {"extensionsUsed": used} if used else {}
     document |= {"extensionsRequired": required} if required else {}
@@ -204,6 +206,13 @@ def encode_glb(scene: GlbScene, is_quantized: bool = False) -> bytes:
         document["samplers"] = [{"magFilter": 9729, "minFilter": 9987, "wrapS": 10497, "wrapT": 10497}]  # trilinear, repeated
     document |= {"accessors": buffer.accessors, "bufferViews": buffer.views, "buffers": [{"byteLength": buffer.length}]}
     return _join_chunks(document, b"".join(buffer.parts))
+
+
+def is_own_glb(path: Path) -> bool:
+    """Whether `path` is a file that this module wrote. Raises OSError."""
+    with path.open("rb") as file:
+        start = file.read(MAX_ASSET_BYTES)
+    return start.startswith(MAGIC) and f'"{GENERATOR}"'.encode() in start
 
 
 def find_image_type(content: bytes) -> str:

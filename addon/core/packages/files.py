@@ -12,13 +12,14 @@ import numpy as np
 
 from ..errors import FileError
 from ..files.atomic_write import atomic_folder
-from ..files.file_access import convert_os_errors
+from ..files.file_access import check_writable, convert_os_errors
 from .increments import Increments, decode_increments
 from .manifest import MANIFEST, MESH, TEXTURES, Manifest, encode_manifest, read_manifest
 
 LEVELS_GLB = "levels.glb"
 PAGE_FOLDER = Path(__file__).resolve().parent / "page"
 INDEX, STYLE, SCRIPT = "index.html", "style.css", "main.js"
+PACKAGE_FILES = (MANIFEST, MESH, TEXTURES, LEVELS_GLB, INDEX, STYLE, SCRIPT)
 COMMENT = re.compile(r"^[ \t]*(?://[^\n]*|/\*\*.*?\*/)\n|[ \t]+// [^\n]*", re.MULTILINE | re.DOTALL)
 IMPORT = re.compile(r'^import \{ ([^}]+) \} from "\./(\w+)\.js";$', re.MULTILINE)
 EXPORT = re.compile(r"^export ((?:async )?(?:function\*?|class|const) (\w+))", re.MULTILINE)
@@ -41,14 +42,36 @@ def write_package(manifest: Manifest, contents: dict[str, bytes], folder: Path) 
         contents: the bytes of the files by name, those of `manifest.files` included.
 
     Raises:
-        FileError: a file cannot be written.
+        FileError: a file cannot be written, or would replace one that is no part of a package.
     """
+    check_package_folder(folder)
     with atomic_folder(folder) as temporary:
         for name, content in contents.items():
             (temporary / name).write_bytes(content)
         for name, content in read_page().items():
             (temporary / name).write_bytes(content)
         (temporary / MANIFEST).write_bytes(encode_manifest(manifest))
+
+
+def check_package_folder(folder: Path) -> None:
+    """Check that a package can be written into `folder`, and that all files that it would replace are those of an earlier package.
+
+    Raises:
+        FileError: it cannot, or they are not.
+    """
+    check_writable(folder / MANIFEST)
+    with convert_os_errors(f'Cannot read "{folder}"'):
+        existing = [name for name in PACKAGE_FILES if (folder / name).exists()]
+    if existing and not _has_manifest(folder):
+        raise FileError(f'The folder "{folder}" contains "{existing[0]}", but no package; choose an empty or a new folder.')
+
+
+def _has_manifest(folder: Path) -> bool:
+    try:
+        read_manifest(folder)
+    except FileError:
+        return False
+    return True
 
 
 def describe_file(content: bytes) -> tuple[int, str]:

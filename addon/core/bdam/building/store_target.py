@@ -1,59 +1,86 @@
 """The folder that a build writes a store to, and the work folder next to it."""
 
-import shutil
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from ...errors import FileError
-from ...files.atomic_write import TEMPORARY_SUFFIX, atomic_write
-from ...files.file_access import convert_os_errors
+from ...files.atomic_write import TEMPORARY_SUFFIX, sync
+from ...files.backups import backup_path
+from ...files.file_access import check_writable, convert_os_errors, resolve_links
+from ...files.temporary_folders import temporary_folder
 from ...jobs.job_folder import JOB_FILE
 from ..store.structure import STRUCTURE_FILE, find_structure
+from ..store.terrain_store import GEOMETRY_FILE, TEXTURE_FOLDER
+from ..textures import store as texture_store
 
-WORK_SUFFIX, NEW_SUFFIX, OLD_SUFFIX = ".build", ".new", ".build-finished"  # added to the name of the store's folder
+WORK_SUFFIX, OLD_SUFFIX = ".farfield-build", ".farfield-replaced"  # hidden folders next to a store are called `.NAME.farfield-build`
+STORE_FILES = {path.name for name in (STRUCTURE_FILE, GEOMETRY_FILE) for path in (Path(name), backup_path(Path(name)))}
+TEXTURE_FILES = {
+    path.name for name in (texture_store.STRUCTURE_FILE, texture_store.TILES_FILE) for path in (Path(name), backup_path(Path(name)))
+}
+SYSTEM_FILES = {".DS_Store", "Thumbs.db", "desktop.ini"}  # File managers write them into any folder.
+MAX_NAMED = 3  # other files that a message names
 
 
 def work_folder_path(out: Path) -> Path:
-    """Return the work folder of the store `out`."""
-    return out.with_name(out.name + WORK_SUFFIX)
+    """Return the work folder of the store `out`, next to the folder that `out` refers to."""
+    return _hidden_path(out, WORK_SUFFIX)
 
 
 def check_target(out: Path) -> None:
     """Check that the folder `out` is missing, empty, or a terrain, which a build replaces, and that the work folder is no other folder.
 
     Raises:
-        FileError: it is not.
+        FileError: it is not, or nothing can be written there.
     """
     with convert_os_errors(f'"{out}" cannot be used'):
-        if not out.name:
+        target = resolve_links(out)
+        if not target.name:
             raise FileError(f'"{out}" cannot become a terrain; choose a folder with a name.')
-        if out.exists() and not out.is_dir():
+        if target.exists() and not target.is_dir():
             raise FileError(f'"{out}" is a file; choose a folder for the terrain.')
-        if out.is_dir() and find_structure(out) is None and any(out.iterdir()):
-            raise FileError(f'"{out}" contains other files; choose an empty or a new folder for the terrain.')
+        _recover(target)
+        others = _find_other_files(target)
+        if others:
+            names = ", ".join(f'"{name}"' for name in others[:MAX_NAMED]) + (", ..." if len(others) > MAX_NAMED else "")
+            raise FileError(f'"{out}" contains other files ({names}); choose an empty or a new folder for the terrain.')
+        check_writable(target.parent / STRUCTURE_FILE if not target.is_dir() else target / STRUCTURE_FILE)
         work = work_folder_path(out)
-        if work.is_dir() and not (work / JOB_FILE).exists() and any(path.suffix != TEMPORARY_SUFFIX for path in work.iterdir()):
+        if not _is_work_folder(work):
             raise FileError(f'"{work}" contains other files, but the build needs that folder; rename it, or choose another name.')
 
 
 @contextmanager
 def replace_store(out: Path) -> Iterator[Path]:
-    """Yield a temporary folder that becomes `out` at the end. A terrain that was there before is deleted then.
+    """Yield the path of a temporary folder that becomes `out`, or what it links to, at the end. A terrain that is there is deleted last.
 
     Raises:
-        FileError: a folder cannot be written or deleted.
+        FileError: a folder cannot be written or renamed.
     """
-    new = out.with_name(out.name + NEW_SUFFIX)
-    with convert_os_errors(f'"{new}" cannot be deleted'):
-        if (new / STRUCTURE_FILE).exists():  # a build was interrupted just before it replaced the terrain
-            shutil.rmtree(new)
-    with atomic_write(new) as temporary:
-        yield temporary
-    with convert_os_errors(f'The terrain is finished in "{new}", but "{out}" cannot be replaced'):
-        if out.exists():
-            shutil.rmtree(out)
-        new.rename(out)
+    target = resolve_links(out)
+    old = _hidden_path(out, OLD_SUFFIX)
+    with convert_os_errors(f'"{out}" cannot be written'):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with temporary_folder(target.parent) as temporary:
+            new = temporary / target.name
+            yield new
+            sync(new)
+            if _is_store(old):  # A run was killed before it could delete it.
+                old.rename(temporary / "older")
+            if target.is_dir():
+                _check_is_free(old)
+                target.rename(old)
+            try:
+                new.rename(target)
+            except OSError:
+                _recover(target)
+                raise
+            if _is_store(old):
+                old.rename(temporary / "old")  # The end of the block deletes it, or the next run if this one is killed now.
+            elif old.is_dir():
+                old.rmdir()  # The folder was empty.
 
 
 def delete_work_folder(folder: Path) -> None:
@@ -62,9 +89,49 @@ def delete_work_folder(folder: Path) -> None:
     Raises:
         FileError: it cannot be deleted.
     """
-    old = folder.with_name(folder.name.removesuffix(WORK_SUFFIX) + OLD_SUFFIX)
-    with convert_os_errors(f'The work folder "{folder}" cannot be deleted'):
-        if old.exists():
-            shutil.rmtree(old)
-        folder.rename(old)
-        shutil.rmtree(old)
+    with convert_os_errors(f'The work folder "{folder}" cannot be deleted'), temporary_folder(folder.parent) as temporary:
+        folder.rename(temporary / "build")
+
+
+def _hidden_path(out: Path, suffix: str) -> Path:
+    target = resolve_links(out)
+    return target.with_name(f".{target.name}{suffix}")
+
+
+def _recover(target: Path) -> None:
+    """Give a terrain its name back if a run was killed between the two renames that replace it, and it is the only one. Raises OSError."""
+    old = _hidden_path(target, OLD_SUFFIX)
+    if not target.exists() and _is_store(old):
+        old.rename(target)
+
+
+def _check_is_free(path: Path) -> None:
+    """Raise FileError if a folder that has to be written exists."""
+    if path.exists():
+        raise FileError(f'"{path}" exists, but the terrain that is replaced needs that name for a moment; rename or delete it.')
+
+
+def _is_work_folder(work: Path) -> bool:
+    """Whether a build may use the folder `work`: it does not exist, is empty, or belongs to a build. Raises OSError."""
+    if work.is_symlink() or not work.is_dir():
+        return not os.path.lexists(work)
+    return (work / JOB_FILE).exists() or all(path.suffix == TEMPORARY_SUFFIX for path in work.iterdir())
+
+
+def _is_store(folder: Path) -> bool:
+    """Whether a folder has the files of a terrain and nothing else."""
+    return not folder.is_symlink() and find_structure(folder) is not None and not _find_other_files(folder)
+
+
+def _find_other_files(folder: Path) -> list[str]:
+    """Return the names of what is in a folder but is no part of a terrain. Raises OSError."""
+    if not folder.is_dir():
+        return []
+    allowed = SYSTEM_FILES | (STORE_FILES if find_structure(folder) is not None else set())
+    others = []
+    for path in folder.iterdir():
+        if path.name == TEXTURE_FOLDER and allowed > SYSTEM_FILES and path.is_dir() and not path.is_symlink():
+            others += [f"{path.name}/{inner.name}" for inner in path.iterdir() if inner.name not in TEXTURE_FILES | SYSTEM_FILES]
+        elif path.name not in allowed or (path.is_dir() and not path.is_symlink()):
+            others.append(path.name)
+    return sorted(others)
