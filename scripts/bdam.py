@@ -49,7 +49,7 @@ from lib import command_line, run_files, scene_files
 from lib.atomic_output import atomic_file
 from lib.mesh_export import write_obj, write_ply
 
-STORE = run_files.PathType(is_output=True, is_folder=True, check=check_target)
+STORE = run_files.PathType(is_output=True, is_folder=True, is_exclusive=True, check=check_target)
 EXTENSIONS = (".blend", ".ply", ".obj")
 MAX_KEPT_BYTES = 64 << 20  # Images of heights up to this size stay in memory.
 MAX_SIDE = 65536  # pixels of an image

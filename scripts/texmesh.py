@@ -22,7 +22,7 @@ environment.import_farfield()
 import bpy
 
 from farfield.addon.bridge.overlays.line_chart import draw_line_chart
-from farfield.addon.bridge.texmesh.glb_levels import existing_level_outputs, write_levels
+from farfield.addon.bridge.texmesh.glb_levels import level_outputs, write_levels
 from farfield.addon.bridge.texmesh.level_sets import read_level_set
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
@@ -71,7 +71,7 @@ def make_levels(given: Namespace, line: command_line.ProgressLine) -> str:
     if out.suffix.lower() not in EXTENSIONS:
         raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(EXTENSIONS)}.')
     if out.suffix.lower() == ".glb" and not given.one_file:
-        given.files.check(existing_level_outputs(out))
+        given.files.check(level_outputs(out, [output.path.absolute() for output in given.files.outputs]))
     clock = StageClock()
     with clock.stage("read"):
         job = prepare_levels(bpy.context, open_objects(given), settings, scene_settings)

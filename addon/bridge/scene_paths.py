@@ -1,18 +1,17 @@
 """The files that the open scene refers to: outputs must not replace them."""
 
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
 import bpy
 
 from ..core.errors import FarfieldError
-from ..core.files.outputs import Input
-from .bdam.objects import SceneTerrain as LargeTerrain
-from .clipbox.objects import SceneTerrain as ClipboxTerrain
-from .clipbox.sources import absolute_path
+from ..core.files.outputs import Input, Output, check_outputs
+from .terrain_roots import TerrainRoot
 
 TILE_PATTERNS = {"<UDIM>": "[1-9][0-9][0-9][0-9]", "<UVTILE>": "u*_v*"}
-FILE, TERRAIN = "a file of the scene", "a terrain of the scene"  # in messages
+FILE = "a file of the scene"  # in messages
 
 
 def scene_inputs() -> list[Input]:
@@ -20,14 +19,20 @@ def scene_inputs() -> list[Input]:
     names = {name for name in bpy.utils.blend_paths(absolute=True, packed=True, local=False) if name}
     inputs = [Input(FILE, path) for name in sorted(names) for path in _expand_tiles(Path(name))]
     for scene in bpy.data.scenes:
-        for terrain in LargeTerrain.in_scene(scene):
-            with suppress(FarfieldError):  # its folder is missing
-                inputs.append(Input(TERRAIN, terrain.folder, is_closed=True))
-        for terrain in ClipboxTerrain.in_scene(scene):
-            with suppress(FarfieldError):  # its settings cannot be read
-                paths = (terrain.settings.source, terrain.settings.source_color)
-                inputs += [Input(FILE, Path(absolute_path(path, terrain.root.library))) for path in paths if path]
+        for terrain in (terrain for kind in TerrainRoot.__subclasses__() for terrain in kind.in_scene(scene)):
+            with suppress(FarfieldError):  # A path or the settings cannot be read.
+                inputs += [Input(f"a file of the terrain {terrain.name}", path, is_closed=True) for path in terrain.input_paths()]
     return inputs
+
+
+def check_scene_outputs(outputs: Sequence[Output], inputs: Sequence[Input] = ()) -> None:
+    """Check what an operator writes: nothing of the open scene, its file, or other `inputs` may be replaced.
+
+    Raises:
+        FileError: see `check_outputs`.
+    """
+    own = [Input("the open file", Path(bpy.data.filepath))] if bpy.data.filepath else []
+    check_outputs(outputs, [*own, *scene_inputs(), *inputs])
 
 
 def _expand_tiles(path: Path) -> list[Path]:

@@ -6,6 +6,7 @@ stored in double precision.
 
 import json
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar
 
 import bpy
@@ -111,6 +112,14 @@ class TerrainRoot:
         if position.shape != (3,) or not np.isfinite(position).all():
             raise SettingsError(f'The custom property "{key}" of the terrain "{self.name}" is invalid; create the terrain again.')
         return position
+
+    def input_paths(self) -> list[Path]:
+        """Return the files and folders that the terrain is made from.
+
+        Raises:
+            FarfieldError: they cannot be found.
+        """
+        raise NotImplementedError
 
     def read_settings(self, settings_type: type[Settings]) -> Settings:
         """Return the stored settings.

@@ -20,7 +20,7 @@ from farfield.addon.core.files.outputs import Input, Output, check_outputs, is_n
 from farfield.addon.core.messages import single_line
 from lib.contact_sheet import check_own_images, is_own_png
 
-MAX_SCENE_BYTES = 64 << 20  # of a .gltf file that is searched for the names of others
+MAX_SCENE_BYTES = 64 << 20  # Larger .gltf files are not searched for the names of others.
 MATERIAL_LIBRARY = re.compile(r"^mtllib\s+(.+?)\s*$", re.MULTILINE)
 MAX_HEADER_BYTES = 1 << 16
 THE_INPUT = "the input"  # the name of the argument `input` in messages
@@ -47,6 +47,7 @@ class PathType:
         is_output: whether it is written.
         check: of an output: raises FileError if it cannot be written there.
         is_folder: of an output: whether it is a folder, in which files may be replaced.
+        is_exclusive: of an output folder: whether no other output may lie in it.
         is_closed: of an input: whether it is a folder into which nothing may be written.
         changes_scenes: of an output: whether it may be the .blend file that is the input, which is then changed in place.
         may_be_stream: of an output: whether it may be a device or a pipe, which is written to.
@@ -55,6 +56,7 @@ class PathType:
     is_output: bool = False
     check: Callable[[Path], None] = check_writable
     is_folder: bool = False
+    is_exclusive: bool = False
     is_closed: bool = False
     changes_scenes: bool = False
     may_be_stream: bool = False
@@ -82,7 +84,7 @@ INPUT, CLOSED_FOLDER = PathType(), PathType(is_closed=True)
 OUTPUT, OUTPUT_SCENE = PathType(is_output=True), PathType(is_output=True, changes_scenes=True)
 REPORT = PathType(is_output=True, may_be_stream=True)
 WORK_FOLDER = PathType(is_output=True, is_folder=True, check=accept_any)
-IMAGE_FOLDER = PathType(is_output=True, is_folder=True, check=check_image_folder)
+IMAGE_FOLDER = PathType(is_output=True, is_folder=True, is_exclusive=True, check=check_image_folder)
 
 
 @dataclass
@@ -98,7 +100,7 @@ class RunFiles:
             self.inputs.append(Input(name, path, kind.is_closed))
         elif not (kind.may_be_stream and is_stream(path)):
             changes = THE_INPUT if kind.changes_scenes and path.suffix.lower() == ".blend" else ""
-            self.outputs.append(Output(name, path, kind.check, kind.is_folder, changes))
+            self.outputs.append(Output(name, path, kind.check, kind.is_folder, kind.is_exclusive, changes))
 
     def check(self, outputs: Iterable[Output] = (), inputs: Iterable[Input] = ()) -> None:
         """Check all files, with further ones.

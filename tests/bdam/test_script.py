@@ -156,7 +156,7 @@ def test_a_store_can_be_moved(folder, tmp_path):
     ("arguments", "error", "message"),
     [
         (("build", "none.npy", "--out", "new"), FileError, "does not exist"),
-        (("build", "hills.npy", "--out", "."), FileError, "folder with a name|other files"),
+        (("build", "hills.npy", "--out", "."), FileError, "which contains the input"),
         (("build", "hills.npy", "--out", "new", "--patch-size", "16", "--height-step", "-1"), SettingsError, "--height-step"),
         (("build", "hills.npy", "--out", "new", "--texture", "hills.npy"), FileError, "texture"),
         (("build", "hills.npy", "--out", "new", "--executor", "many"), SettingsError, "Executor must be"),

@@ -13,7 +13,6 @@ from farfield.addon.core.files.file_access import (
     check_writable,
     check_writable_folder,
     error_reason,
-    is_same_file,
     is_stream,
 )
 
@@ -95,16 +94,6 @@ def test_output_folders(tmp_path):
     assert "not empty" in message(check_writable_folder, tmp_path)
     assert "not a folder" in message(check_writable, tmp_path / "file" / "a.obj")
     check_writable_folder(tmp_path / "new" / "folder")
-
-
-@only_on_posix
-def test_one_file_under_two_names(tmp_path):
-    first, link, hard_link = tmp_path / "a.obj", tmp_path / "link", tmp_path / "hard"
-    assert is_same_file(first, tmp_path / "." / "a.obj") and not is_same_file(first, link)
-    first.touch()
-    link.symlink_to(first)
-    hard_link.hardlink_to(first)
-    assert is_same_file(first, link) and is_same_file(link, hard_link)
 
 
 def test_the_reason_of_an_error_is_one_line():

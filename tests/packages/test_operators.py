@@ -111,7 +111,7 @@ def test_script_builds_and_verifies(folder):
     assert not (folder / LEVELS_GLB).exists()
     assert figures["errors_of_levels"][0] == 0.0 and figures["mesh_bytes"] == (folder / MESH).stat().st_size
     assert "is complete: 3 levels" in run("verify", folder)
-    with pytest.raises(FileError, match="is the file"):
+    with pytest.raises(FileError, match="same file"):
         run("build", scene, "--out", scene)
     with pytest.raises(SettingsError, match="multiple of 16"):
         run("build", scene, "--out", folder, *FLAGS, "--tile-size", "100")

@@ -27,7 +27,7 @@ from lib.contact_sheet import is_own_png, write_png
 from lib.run_files import PathType, check_image_folder, referenced_files
 
 only_on_posix = pytest.mark.skipif(os.name == "nt", reason="Windows has other devices, and links need a privilege")
-# The commands of all scripts that write files, and the arguments that they require besides paths.
+# The commands of all scripts that write files, and the arguments that they require in addition to paths.
 COMMANDS = {
     "billboards": (billboards, None, []),
     "btf": (btf, None, []),

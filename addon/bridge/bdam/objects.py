@@ -59,6 +59,10 @@ class SceneTerrain(TerrainRoot):
         """
         return resolve_folder(str(self.root.get(STORE_KEY, "")), self.root.library, f'The store of the terrain "{self.name}"')
 
+    def input_paths(self) -> list[Path]:
+        """Return the folder of its store. Raises FileError."""
+        return [self.folder]
+
     @property
     def figures(self) -> Figures | None:
         """Figures of what is shown, None if they are unknown."""

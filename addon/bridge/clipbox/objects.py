@@ -4,6 +4,7 @@ Vertices are relative to the root, so that shared vertices of blocks have exactl
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import ClassVar
 
 import bpy
@@ -17,6 +18,7 @@ from ...core.jobs.progress import Progress, Steps
 from ..geometry.mesh_arrays import write_uvs
 from ..geometry.mesh_pool import PendingMeshes, claim, fill_mesh, mark_spare
 from ..terrain_roots import TerrainRoot, copy_material, link_collection, remove_terrain
+from .sources import absolute_path
 
 # custom properties of the root and of blocks
 SETTINGS_KEY, ORIGIN_KEY, VIEWER_KEY = "farfield_clipbox_settings", "farfield_clipbox_origin", "farfield_clipbox_viewer"
@@ -40,6 +42,12 @@ class SceneTerrain(TerrainRoot):
             SettingsError: they cannot be read, for example because a newer version wrote them.
         """
         return self.read_settings(ClipboxSettings)
+
+    def input_paths(self) -> list[Path]:
+        """Return the files of heights and colors. Raises SettingsError."""
+        settings = self.settings
+        paths = (settings.source, settings.source_color)
+        return [Path(absolute_path(path, self.root.library)) for path in paths if path]
 
     @property
     def viewer(self) -> np.ndarray:

@@ -39,8 +39,10 @@ def write_levels(sets: Sequence[LevelSet], path: Path, is_quantized: bool = True
     return paths
 
 
-def existing_level_outputs(path: Path) -> list[Output]:
+def level_outputs(path: Path, others: Sequence[Path] = ()) -> list[Output]:
     """Return the files next to `path` that have names of its levels; `write_levels` may replace those that Farfield wrote.
+
+    others: paths that need not exist, which may also have such names.
 
     Raises:
         FileError: its folder cannot be read.
@@ -48,7 +50,8 @@ def existing_level_outputs(path: Path) -> list[Output]:
     pattern = re.compile(re.escape(path.stem) + r"-L\d+" + re.escape(path.suffix), re.IGNORECASE)
     with convert_os_errors(f'Cannot read "{path.parent}"'):
         found = sorted(other for other in path.parent.iterdir() if pattern.fullmatch(other.name)) if path.parent.is_dir() else []
-    return [Output(f'the level "{other.name}"', other, is_ours=is_own_glb) for other in found]
+    found += [other for other in others if other.parent.resolve() == path.parent.resolve() and pattern.fullmatch(other.name)]
+    return [Output(f'the level "{other.name}"', other, is_ours=is_own_glb) for other in dict.fromkeys(found)]
 
 
 def level_path(path: Path, number: int) -> Path:

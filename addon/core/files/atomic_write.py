@@ -58,13 +58,15 @@ def _new_folder(folder: Path) -> Iterator[None]:
     """Create `folder` with those above it. If the block fails, the new ones are removed, unless there is something in them by then."""
     missing = [each for each in (folder, *folder.parents) if not os.path.lexists(each)]
     folder.mkdir(parents=True, exist_ok=True)
+    is_written = False
     try:
         yield
-    except BaseException:
-        with suppress(OSError):
-            for each in missing:
-                each.rmdir()
-        raise
+        is_written = True
+    finally:
+        if not is_written:
+            with suppress(OSError):
+                for each in missing:
+                    each.rmdir()
 
 
 def write_bytes_atomically(path: Path, content: bytes) -> None:

@@ -139,14 +139,14 @@ def is_stream(path: Path) -> bool:
     return status is not None and not stat.S_ISREG(status.st_mode) and not stat.S_ISDIR(status.st_mode)
 
 
-def is_same_file(first: Path, second: Path) -> bool:
-    """Whether both paths refer to one file, through links too. Files that do not exist are compared by their paths."""
-    if os.path.normcase(resolve_links(first)) == os.path.normcase(resolve_links(second)):
-        return True
-    try:
-        return first.samefile(second)  # another spelling where the file system ignores case, or a hard link
-    except OSError:
-        return False
+def read_status(path: Path) -> os.stat_result | None:
+    """Return the status of the file or folder behind all links, None if there is none.
+
+    Raises:
+        FileError: the path is no text, too long, or cannot be read.
+    """
+    with convert_os_errors(f'Cannot use "{path}"'):
+        return _read_status(path)
 
 
 def _read_status(path: Path) -> os.stat_result | None:

@@ -4,13 +4,15 @@ A file that the user names is replaced. Others that a run writes, such as the ma
 only if Farfield wrote them.
 """
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import FileError
-from .file_access import check_writable, convert_os_errors, is_same_file, resolve_links
+from .file_access import check_writable, convert_os_errors, read_status, resolve_links
 
+Identity = str | tuple[int, int]
 MAX_REFERENCE_BYTES = 1 << 16  # A file names those that belong to it near its beginning.
 
 
@@ -36,6 +38,7 @@ class Output:
         path: where it is written.
         check: raises FileError if it cannot be written there.
         is_folder: whether it is a folder, in which files may be replaced.
+        is_exclusive: of a folder: whether no other output may lie in it.
         changes: name of the input that it may be, which is then changed in place.
         is_ours: of a file that the user does not name: whether an existing one may be replaced, because an earlier run wrote it.
     """
@@ -44,6 +47,7 @@ class Output:
     path: Path
     check: Callable[[Path], None] = check_writable
     is_folder: bool = False
+    is_exclusive: bool = False
     changes: str = ""
     is_ours: Callable[[Path], bool] | None = None
 
@@ -55,18 +59,29 @@ def check_outputs(outputs: Sequence[Output], inputs: Sequence[Input]) -> None:
         FileError: an output cannot be written, is another output, is, contains or lies in an input, or replaces a file that neither the
             user named nor Farfield wrote.
     """
-    for index, output in enumerate(outputs):
-        for other in outputs[:index]:
-            if is_same_file(output.path, other.path):
-                raise FileError(f'{output.name} and {other.name} are the same file "{output.path}"; choose different files.')
-        for given in inputs:
-            _check_input(output, given)
+    places = {given: Place(given.path) for given in inputs}
+    by_identity: dict[Identity, list[Input]] = {}
+    for given, place in places.items():
+        for identity in place.identities:
+            by_identity.setdefault(identity, []).append(given)
+    checked: dict[Output, Place] = {}
+    for output in outputs:
+        place = Place(output.path)
+        for other, other_place in checked.items():
+            _check_pair(output, place, other, other_place)
+        checked[output] = place
+        for given in (given for identity in place.identities for given in by_identity.get(identity, ())):
+            if output.changes != given.name:
+                raise FileError(f'{output.name} and {given.name} are the same file "{output.path}"; choose different files.')
+        for given in (given for parent in place.path.parents for given in by_identity.get(os.path.normcase(parent), ())):
+            if given.is_closed or (place.status is not None and not output.is_folder):
+                raise FileError(f'{output.name} is "{output.path}" in the folder of {given.name}; choose a path outside of it.')
+        if output.is_folder:
+            for given, other_place in places.items():
+                if place.path in other_place.path.parents:
+                    raise FileError(f'{output.name} is the folder "{output.path}", which contains {given.name}; choose a new folder.')
         output.check(output.path)
-        if output.is_ours is not None:
-            with convert_os_errors(f'Cannot read "{output.path}"'):
-                is_foreign = output.path.exists() and not output.is_ours(output.path)
-            if is_foreign:
-                raise FileError(f'{output.name} would replace "{output.path}", which Farfield did not write; move it away or rename it.')
+        _check_ours(output)
 
 
 def is_named_by(main: Path, path: Path) -> bool:
@@ -77,18 +92,38 @@ def is_named_by(main: Path, path: Path) -> bool:
         return path.name.encode() in file.read(MAX_REFERENCE_BYTES)
 
 
-def _check_input(output: Output, given: Input) -> None:
-    """Raise FileError if an output is, contains or lies in an input."""
-    if is_same_file(output.path, given.path):
-        if output.changes == given.name:
-            return
-        raise FileError(f'{output.name} and {given.name} are the same file "{output.path}"; choose different files.')
-    written, read = resolve_links(output.path), resolve_links(given.path)
-    if output.is_folder and read.is_relative_to(written):
-        raise FileError(f'{output.name} is the folder "{output.path}", which contains {given.name}; choose an empty or a new folder.')
-    if not written.is_relative_to(read):
+class Place:
+    """Where a path leads.
+
+    Attributes:
+        path: absolute, without links.
+        status: of the file or folder there, None if there is none.
+        identities: equal for two paths that lead to one file: the path, and the number of the file, for hard links and for other spellings
+            where the file system ignores case.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Raises FileError if the path cannot be used."""
+        self.path, self.status = resolve_links(path), read_status(path)
+        self.identities: set[Identity] = {os.path.normcase(self.path)}
+        if self.status is not None and self.status.st_ino:
+            self.identities.add((self.status.st_dev, self.status.st_ino))
+
+
+def _check_pair(first: Output, place: Place, second: Output, other_place: Place) -> None:
+    """Raise FileError if two outputs are the same, or one lies in the folder of the other, which is for nothing else."""
+    if place.identities & other_place.identities:
+        raise FileError(f'{first.name} and {second.name} are the same file "{first.path}"; choose different files.')
+    for outer, outer_place, inner, inner_place in ((first, place, second, other_place), (second, other_place, first, place)):
+        if outer.is_exclusive and outer_place.path in inner_place.path.parents:
+            raise FileError(f'{inner.name} is "{inner.path}" in the folder of {outer.name}; choose a path outside of it.')
+
+
+def _check_ours(output: Output) -> None:
+    """Raise FileError if an output that the user does not name would replace a file that Farfield did not write."""
+    if output.is_ours is None:
         return
-    with convert_os_errors(f'Cannot read "{given.path}"'):
-        is_lost = read.is_dir() and (given.is_closed or (written.exists() and not output.is_folder))
-    if is_lost:
-        raise FileError(f'{output.name} is "{output.path}" in the folder of {given.name}; choose a path outside of it.')
+    with convert_os_errors(f'Cannot read "{output.path}"'):
+        is_foreign = output.path.exists() and not output.is_ours(output.path)
+    if is_foreign:
+        raise FileError(f'{output.name} would replace "{output.path}", which Farfield did not write; move it away or rename it.')

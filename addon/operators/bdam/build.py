@@ -8,11 +8,14 @@ from typing import Any
 import bpy
 
 from ...bridge.imaging.images import read_gray_image
+from ...bridge.scene_paths import check_scene_outputs
+from ...core.bdam.building.store_target import check_target
 from ...core.bdam.building.terrain_build import BuildReport, build_terrain
 from ...core.bdam.fields.height_sources import OPENERS
 from ...core.bdam.fields.terrain_field import FieldSettings, TerrainField, open_field, warn_of_heights
 from ...core.bdam.settings import BdamSettings
 from ...core.errors import SettingsError
+from ...core.files.outputs import Input, Output
 from ...core.files.scratch import Scratch
 from ...core.jobs.progress import Progress, Steps
 from .. import long_work, properties, start_job
@@ -170,10 +173,13 @@ class FARFIELD_OT_bdam_build(start_job.StartJob, bpy.types.Operator):
         folder = self.store if is_given("store") else panel.store
         if not folder:
             raise SettingsError("The terrain needs a folder; set Store.", ("store",))
+        store = absolute_path(folder)
+        inputs = [Input(f'"{path.name}"', path) for path in (*sources, *images)]
+        check_scene_outputs([Output("Store", store, check_target, is_folder=True)], inputs)
         scratch = Scratch(MAX_KEPT_BYTES)
         field_settings = FieldSettings(settings.cell_size, settings.image_height, settings.allow_gaps)
         field = open_field(sources, field_settings, lambda path: scratch.keep(read_gray_image(path), 0))
-        return BuildJob(field, sources, images, absolute_path(folder), settings, scratch)
+        return BuildJob(field, sources, images, store, settings, scratch)
 
 
 def _read_paths(files: bpy.types.bpy_prop_collection) -> list[Path]:

@@ -13,6 +13,7 @@ from ...bridge.btf.export.image_folders import write_images
 from ...bridge.btf.export.octahedral_files import write_octahedral_atlas
 from ...bridge.btf.levels.decode import is_upper_hemisphere, read_relightable_texture
 from ...bridge.objects import find_by_uid
+from ...bridge.scene_paths import check_scene_outputs
 from ...core.btf.decoding import RelightableTexture
 from ...core.btf.formats.fmf import write_fmf
 from ...core.btf.settings import ExportSettings
@@ -20,6 +21,7 @@ from ...core.errors import FileError, GeometryError
 from ...core.files.atomic_write import atomic_write
 from ...core.files.file_access import check_writable, check_writable_folder
 from ...core.files.filenames import unique_filenames
+from ...core.files.outputs import Output
 from ...core.geometry.directions import bonn_directions
 from ...core.jobs.progress import Progress, Steps, subprogress
 
@@ -120,7 +122,7 @@ def prepare_export(levels: list[bpy.types.Object], target: Path, settings: Expor
         FileError: see `check_target`.
         GeometryError: if a level has no relightable textures, or the source objects of an octahedral atlas are missing.
     """
-    check_target(target)
+    check_scene_outputs([Output("the export", target, check_target)])
     suffix = target.suffix.lower()
     textures = [read_relightable_texture(level) for level in levels] if suffix in RADIANCE_SUFFIXES else []
     items = []

@@ -7,10 +7,12 @@ from pathlib import Path
 import bpy
 
 from ...bridge.packages.sources import PackageSource, read_package_source
+from ...bridge.scene_paths import check_scene_outputs
 from ...core.errors import SettingsError
 from ...core.files.filenames import unique_filenames
+from ...core.files.outputs import Output
 from ...core.jobs.progress import Progress, Steps, subprogress
-from ...core.packages.files import write_package
+from ...core.packages.files import check_package_folder, write_package
 from ...core.packages.package import PackageReport, build_package
 from ...core.packages.settings import PackageSettings
 from ...core.texmesh.settings import TexmeshSettings
@@ -93,7 +95,9 @@ class FARFIELD_OT_packages_export(start_job.StartJob, bpy.types.Operator):
         folder = self.folder or panel.folder
         if not folder:
             raise SettingsError("A package needs a folder; set Folder.", ("folder",))
-        return prepare_packages(context, source_objects(context), settings, package_settings, absolute_path(folder))
+        path = absolute_path(folder)
+        check_scene_outputs([Output("the folder", path, check_package_folder, is_folder=True)])
+        return prepare_packages(context, source_objects(context), settings, package_settings, path)
 
 
 def prepare_packages(

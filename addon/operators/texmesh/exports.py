@@ -4,8 +4,10 @@ from pathlib import Path
 
 import bpy
 
-from ...bridge.texmesh.glb_levels import write_levels
+from ...bridge.scene_paths import check_scene_outputs
+from ...bridge.texmesh.glb_levels import level_outputs, write_levels
 from ...core.errors import FileError
+from ...core.files.outputs import Output
 from .. import long_work
 from ..error_reports import report_message, reports_errors
 from .operators import NO_LEVELS, selected_level_sets
@@ -54,7 +56,9 @@ class FARFIELD_OT_texmesh_export(bpy.types.Operator):
         path = Path(bpy.path.abspath(self.filepath)).absolute()
         if not self.filepath or path.suffix.lower() not in ("", SUFFIX):
             raise FileError(f'The file is "{self.filepath}"; its name must end in {SUFFIX}.')
-        paths = write_levels(selected_level_sets(context), path.with_suffix(SUFFIX), self.quantized, self.one_file)
+        path = path.with_suffix(SUFFIX)
+        check_scene_outputs([Output("the file", path)] if self.one_file else level_outputs(path))
+        paths = write_levels(selected_level_sets(context), path, self.quantized, self.one_file)
         report_message(self, f"Saved {', '.join(item.name for item in paths)}.")
         return {"FINISHED"}
 

@@ -5,8 +5,10 @@ from pathlib import Path
 import bpy
 from mathutils import Vector
 
+from ...bridge.scene_paths import check_scene_outputs
 from ...bridge.unwrap import uv_maps
 from ...bridge.unwrap.stretch_display import overlay, save_stretch_image
+from ...core.files.outputs import Output
 from ...core.unwrap.settings import UnwrapSettings
 from .. import long_work, properties, start_job
 from ..error_reports import report_message, reports_errors
@@ -106,6 +108,7 @@ class FARFIELD_OT_unwrap_stretch_image(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Draw the image and write it."""
         path = Path(bpy.path.abspath(self.filepath)).with_suffix(".png")
+        check_scene_outputs([Output("the image", path)])
         save_stretch_image(context.active_object, path, self.resolution)
         report_message(self, f'Saved "{path}".')
         return {"FINISHED"}
