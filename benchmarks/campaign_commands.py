@@ -9,6 +9,7 @@ import bpy
 import campaign_actions
 import campaign_checks
 import campaign_inputs
+import campaign_projects
 from campaign_inputs import MESH_SUFFIXES, TERRAIN_SUFFIXES, Samples
 from campaign_values import random_flags, small_flags
 
@@ -20,6 +21,8 @@ OUT_SUFFIXES = {
     "unwrap": (".blend", ".obj", ".glb"),
     "clipbox": (".blend", ".ply", ".obj"),
     "restore": campaign_inputs.IMAGE_SUFFIXES,
+    "texmesh": (".blend", ".glb"),
+    "photos": (".blend", ".obj", ".glb"),
 }
 MASK_WORDS = ("alpha", "#000000", "#FFFFFF", "#808080", "#12345", "")
 EXPORT_SUFFIXES = (".glb", ".btf", ".octahedral", "")
@@ -37,6 +40,28 @@ OUT_NAMES = (
     "in.blend/out",
 )
 INTERRUPTED_FRACTION = 0.03
+PROJECTS = {
+    "texmesh": campaign_projects.texmesh_arguments,
+    "packages": campaign_projects.packages_arguments,
+    "photos": campaign_projects.photos_arguments,
+    "bdam": campaign_projects.bdam_arguments,
+}
+OUTPUTS_OF_COMMANDS = {
+    "levels": {"--out": (".blend", ".glb"), "--report": (".json",)},
+    "analyze": {"--plot": (".png",), "--report": (".json",)},
+    "build": {"--out": ("",), "--report": (".json",)},
+    "verify": {},
+    "info": {"--report": (".json",)},
+    "extract": {"--out": (".ply", ".obj", ".blend"), "--report": (".json",)},
+    "photos": {
+        "--texture": (".png", ".png", ".<UDIM>.png"),
+        "--out": OUT_SUFFIXES["photos"],
+        "--stages": ("",),
+        "--overlays": ("",),
+        "--report": (".json",),
+    },
+}
+REQUIRED_OUTPUTS = {"levels": ("--out",), "build": ("--out",), "extract": ("--out",), "photos": ("--texture",)}
 
 
 @dataclass
@@ -59,6 +84,8 @@ def build_case(random: Random, tool: str, folder: Path, samples: Samples) -> Com
     """Write the input files of a random case to `folder` and return its arguments."""
     case = CommandCase(tool)
     source: Path | None = None
+    if tool in PROJECTS:
+        return _build_project_case(random, case, folder, samples)
     if tool == "clipbox":
         _add_terrain(random, case, folder, samples)
     elif tool == "restore":
@@ -87,6 +114,24 @@ def build_case(random: Random, tool: str, folder: Path, samples: Samples) -> Com
         case.arguments.append(random.choice(("--nonsense", "--", "extra", "--help", "--out")))
     if random.random() < INTERRUPTED_FRACTION:
         case.interrupt_after = random.uniform(0.0, 1.0 if tool != "btf" else 5.0)
+    return case
+
+
+def _build_project_case(random: Random, case: CommandCase, folder: Path, samples: Samples) -> CommandCase:
+    """Add arguments of a script with commands or folders."""
+    case.arguments, source = PROJECTS[case.tool](random, folder, samples)
+    command = case.arguments[0] if case.tool != "photos" else "photos"
+    outputs = OUTPUTS_OF_COMMANDS[command]
+    for flag, suffixes in outputs.items():
+        is_required = flag in REQUIRED_OUTPUTS.get(command, ())
+        if random.random() < (0.98 if is_required else 0.2):
+            _add_output(case, flag, _choose_output(random, folder, random.choice(suffixes), source, case))
+    if command in ("levels", "build", "photos"):
+        case.arguments += small_flags(case.tool) + random_flags(random, case.tool)
+    if random.random() < 0.02:
+        case.arguments.append(random.choice(("--nonsense", "extra", "--help")))
+    if random.random() < INTERRUPTED_FRACTION:
+        case.interrupt_after = random.uniform(0.0, 1.5)
     return case
 
 

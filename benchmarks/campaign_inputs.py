@@ -49,6 +49,22 @@ class Samples:
             return self._create(random.choice(("heights.npy", "volume.npy")), _write_terrain_file)
         return self._create("volume_6x7x8_uint8.raw" if suffix == ".raw" else "terrain" + suffix, _write_terrain_file)
 
+    def height_file(self, suffix: str) -> Path:
+        """Return an elevation model of one of the formats of large terrain."""
+        return self._create(("N46E008" if suffix == ".hgt" else "heights") + suffix, _write_height_file)
+
+    def store(self) -> Path:
+        """Return the folder of a large terrain with a texture."""
+        return self._create("store", _write_store)
+
+    def package(self) -> Path:
+        """Return the folder of a package."""
+        return self._create("package", _write_package)
+
+    def photo_project(self) -> Path:
+        """Return a folder with a plane, photographs of it and their cameras."""
+        return self._create("project", _write_photo_project)
+
     def _create(self, name: str, write: Callable[[Path], None]) -> Path:
         path = self.folder / name
         if not path.exists():
@@ -181,6 +197,38 @@ def _write_baked_file(path: Path) -> None:
     _write_cloud_file(path)
     run_to_end(run_job(bakes.prepare_job(bakes.open_cloud(path), None)))
     scene_files.save_scene(path)
+
+
+def _write_height_file(path: Path) -> None:
+    heights = np.add.outer(np.arange(21.0), 2.0 * np.arange(25.0))
+    if path.suffix == ".asc":
+        rows = "\n".join(" ".join(f"{value:g}" for value in row) for row in heights)
+        path.write_text(f"ncols 25\nnrows 21\nxllcorner 0\nyllcorner 0\ncellsize 10\nNODATA_value -9999\n{rows}\n", encoding="ascii")
+    elif path.suffix == ".hgt":
+        np.add.outer(np.arange(1201), np.arange(1201)).astype(">i2").tofile(path)
+    else:
+        _write_terrain_file(path)
+
+
+def _write_store(path: Path) -> None:
+    import small_terrain_stores
+
+    small_terrain_stores.build_store(path, small_terrain_stores.hills(33, 41))
+    small_terrain_stores.add_texture(path, small_terrain_stores.colors(256))
+
+
+def _write_package(path: Path) -> None:
+    from textured_scenes import textured_ball
+
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    textured_ball(8)
+    bpy.ops.farfield.packages_export(folder=str(path), views=2, max_image=32, levels="number", number=2, pixels=32, tile_size=32)
+
+
+def _write_photo_project(path: Path) -> None:
+    import campaign_projects
+
+    campaign_projects.write_photo_project(path)
 
 
 def _write_terrain_file(path: Path) -> None:

@@ -1,6 +1,7 @@
 # ruff: noqa: ARG001 - functions that are chosen at random have the same arguments
 """Random sequences of Farfield's operators and of what users do between them, on random scenes."""
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,10 +11,11 @@ from typing import Any
 import bpy
 import campaign_actions
 import campaign_images
+import campaign_projects
 import campaign_scenes
 from campaign_checks import Problem
 from campaign_inputs import Samples
-from campaign_values import random_properties
+from campaign_values import LIMITS, SMALL, random_properties
 
 import random_inputs
 from farfield.addon.core.billboards.settings import BillboardSettings, CrossfadeSettings
@@ -24,6 +26,7 @@ from farfield.addon.core.unwrap.settings import UnwrapSettings
 from lib import environment
 
 COUNTED = ("cameras", "collections", "images", "materials", "meshes", "node_groups", "objects", "scenes")
+Operators = tuple[tuple[str, Callable[[Random, Path], dict[str, Any]]], ...]
 DISABLED = "poll() failed"  # an operator that is not available in this context
 UNCOUNTED_IMAGES = ("Render Result", "Viewer Node")
 
@@ -55,7 +58,7 @@ def run_case(random: Random, tool: str, folder: Path, samples: Samples, record: 
         for _ in range(random.randint(2, 6)):
             for _ in range(random.choice((0, 0, 1, 2))):
                 campaign_actions.change_scene(random, folder, case.add_step)
-            name, build_properties = random.choice(OPERATORS[tool])
+            name, build_properties = random.choice(OPERATORS.get(tool) or _operators_of(tool))
             _call(case, name, build_properties(random, folder))
     finally:
         farfield.unregister()
@@ -73,9 +76,47 @@ def _open_scene(random: Random, tool: str, folder: Path, samples: Samples) -> No
     else:
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
         campaign_scenes.build_scene(random, folder)
+        if tool in campaign_projects.PREPARATIONS and random.random() < 0.7:
+            campaign_projects.PREPARATIONS[tool](random, folder, samples)
         if tool == "restore":
             campaign_images.add_images(random, folder)
     bpy.ops.ed.undo_push(message="Start")
+
+
+def _operators_of(tool: str) -> Operators:
+    """Return all operators of a tool, each with random values of some of its properties."""
+    names = [name for name in dir(bpy.ops.farfield) if name.startswith(f"{tool}_")]
+    return tuple((name, functools.partial(_random_properties, name, tool)) for name in names)
+
+
+def _random_properties(name: str, tool: str, random: Random, folder: Path) -> dict[str, Any]:
+    """Return small values of settings, and random ones of a third of the other properties."""
+    properties: dict[str, Any] = {}
+    for item in getattr(bpy.ops.farfield, name).get_rna_type().properties:
+        if item.identifier in SMALL[tool] and random.random() < 0.9:
+            properties[item.identifier] = SMALL[tool][item.identifier]
+        elif item.identifier != "rna_type" and not item.is_readonly and (random.random() < 0.35 or "PATH" in item.subtype):
+            value = _random_value(random, item, tool, folder)
+            if value is not None:
+                properties[item.identifier] = value
+    return properties
+
+
+def _random_value(random: Random, item: bpy.types.Property, tool: str, folder: Path) -> Any:
+    if item.type == "BOOLEAN":
+        return random.random() < 0.5
+    if item.type in ("INT", "FLOAT") and not item.is_array:
+        low, high = LIMITS.get(item.identifier, (max(item.soft_min, -1e6), min(item.soft_max, 1e6)))
+        return random.randint(int(low), int(high)) if item.type == "INT" else random.uniform(low, high)
+    if item.type == "ENUM":
+        choices = [choice.identifier for choice in item.enum_items]
+        return random.choice(choices) if choices and not item.is_enum_flag else None
+    if item.type == "STRING":
+        if "PATH" in item.subtype:
+            names = ("out.glb", "out", "missing/out", "project/transforms.json", "project/images", "store", "", "line\nbreak")
+            return str(folder / random.choice(names))
+        return random.choice(("", "Ball", "serial", random_inputs.random_name(random)))
+    return None
 
 
 def _call(case: OperatorCase, name: str, properties: dict[str, Any]) -> None:
@@ -164,7 +205,6 @@ def _none(random: Random, folder: Path) -> dict[str, Any]:
     return {}
 
 
-Operators = tuple[tuple[str, Callable[[Random, Path], dict[str, Any]]], ...]
 OPERATORS: dict[str, Operators] = {
     "billboards": (
         ("billboards_build", _build), ("billboards_build", _build), ("billboards_estimate", _none), ("billboards_show", _show),

@@ -5,11 +5,15 @@ from random import Random
 from typing import Any
 
 import random_inputs
+from farfield.addon.core.bdam.settings import BdamSettings
 from farfield.addon.core.billboards.settings import BillboardSettings, CrossfadeSettings
 from farfield.addon.core.btf.settings import BtfSettings, ExportSettings
 from farfield.addon.core.clipbox.settings import ClipboxSettings, ConvertSettings
+from farfield.addon.core.packages.settings import PackageSettings
+from farfield.addon.core.photos.settings import PhotosSettings
 from farfield.addon.core.restore.settings import RestoreSettings
 from farfield.addon.core.settings import Description, Settings, Unit, describe
+from farfield.addon.core.texmesh.settings import SceneSettings, TexmeshSettings
 from farfield.addon.core.unwrap.settings import UnwrapSettings
 
 FLAG_SETTINGS: dict[str, tuple[type[Settings], ...]] = {
@@ -18,6 +22,10 @@ FLAG_SETTINGS: dict[str, tuple[type[Settings], ...]] = {
     "unwrap": (UnwrapSettings,),
     "clipbox": (ClipboxSettings, ConvertSettings),
     "restore": (RestoreSettings,),
+    "texmesh": (TexmeshSettings, SceneSettings),
+    "packages": (TexmeshSettings, PackageSettings),
+    "photos": (PhotosSettings,),
+    "bdam": (BdamSettings,),
 }
 # Defaults of a case, in internal units: a case takes about a second.
 SMALL: dict[str, dict[str, Any]] = {
@@ -29,14 +37,20 @@ SMALL: dict[str, dict[str, Any]] = {
     "unwrap": {},
     "clipbox": {"resolution": 32, "boxes": 2},
     "restore": {"pyramid_levels": 1},
+    "texmesh": {"views": 2, "max_image": 32, "levels": "number", "number": 2},
+    "packages": {"views": 2, "max_image": 32, "levels": "number", "number": 2, "pixels": 32, "tile_size": 32},
+    "photos": {"size": 32},
+    "bdam": {"patch_size": "16", "executor": "serial"},
 }  # fmt: skip
 LIMITS: dict[str, tuple[float, float]] = {
     "error": (0.03, 0.25), "levels": (1, 3), "quads": (0, 40), "texture_mb": (0.0, 0.2), "texel_size": (0.5, 4.0), "samples": (1, 2),
     "max_texture_waste": (1.5, 50.0), "views_per_side": (2, 3), "lights_per_side": (2, 3), "components": (1, 5), "alpha_components": (1, 5),
     "clusters": (1, 4), "cluster_components": (1, 4), "shadows_per_side": (0, 3), "shadow_components": (1, 5), "resolution": (32, 40),
     "boxes": (1, 4), "subdivided_boxes": (0, 2), "smoothing": (0, 2), "sphere_count": (1, 4), "sphere_classes": (1, 4),
-    "pyramid_levels": (1, 3),
+    "pyramid_levels": (1, 3), "views": (1, 3), "max_image": (16, 48), "number": (2, 4), "pixels": (16, 48), "max_pixels": (8, 48),
+    "size": (16, 64), "tile_size": (16, 64),
 }  # fmt: skip
+NO_FLAGS = {("packages", "vertices"), ("packages", "rebake_textures")}  # Packages do not leave these open.
 EXECUTORS = ("serial", "processes", "processes:2", "processes:0", "dask:tcp://127.0.0.1:1", "threads", "")
 
 
@@ -51,7 +65,7 @@ def small_flags(tool: str) -> list[str]:
 
 def random_flags(random: Random, tool: str, bad_fraction: float = 0.06) -> list[str]:
     """Return none to five random flags of the settings of `tool`; a part of their values is invalid."""
-    flags, descriptions = [], _descriptions(tool)
+    flags, descriptions = [], [item for item in _descriptions(tool) if (tool, item.name) not in NO_FLAGS]
     if tool == "clipbox" and random.random() < 0.8:  # the others need --convert-to-mesh
         descriptions = describe(ClipboxSettings)
     for description in random.sample(descriptions, random.choice((0, 0, 1, 1, 2, 3, 5))):

@@ -89,7 +89,7 @@ def run_case(specification: Specification, index: int, samples: Samples, record:
     os.environ["PWD"] = str(folder)  # Blender prefers it to the working directory
     start, had_root_folder = time.monotonic(), ROOT_FOLDER.exists()
     try:
-        if random.random() < OPERATORS_FRACTION and specification.tool in campaign_operators.OPERATORS:
+        if random.random() < OPERATORS_FRACTION:
             result = _run_operators(random, specification, folder, samples, record)
         else:
             result = _run_command(random, specification, folder, samples, record)
@@ -112,6 +112,12 @@ def run_case(specification: Specification, index: int, samples: Samples, record:
 def _create_samples(specification: Specification) -> Samples:
     """Return the valid files, those with clouds already created: this needs the extension."""
     samples, farfield = Samples(specification.sandbox / "samples"), environment.import_farfield()
+    if specification.tool == "bdam":
+        samples.store()
+    if specification.tool == "packages":
+        farfield.register()
+        samples.package()
+        farfield.unregister()
     if specification.tool in ("billboards", "btf"):
         farfield.register()
         samples.cloud_file()

@@ -66,6 +66,13 @@ def test_levels_replace_only_levels(folder):
     assert [output.path.name for output in level_outputs(folder / "ball.glb")] == ["ball-L0.glb", "ball-L1.glb"]
 
 
+def test_levels_in_edit_mode_are_not_written(folder):
+    assert bpy.ops.farfield.texmesh_levels(**SMALL) == {"FINISHED"}
+    assert bpy.ops.farfield.texmesh_show(level=1) == {"FINISHED"}
+    bpy.ops.object.mode_set(mode="EDIT")
+    assert "is in Edit Mode; leave it" in refusal(lambda: bpy.ops.farfield.texmesh_export(filepath=str(folder / "ball.glb")), folder)
+
+
 def test_a_package_replaces_no_other_page(folder):
     site = folder / "site"
     site.mkdir()

@@ -11,6 +11,7 @@ from ..core.geometry.viewers import FULL_SPHERE, Projection, Viewer, camera_wind
 from .cameras import render_size, sensor_spans_width
 
 DEFAULT_EXTENT = 36.0 / 50.0  # sensor width divided by focal length of a new camera
+MIN_EXTENT = 1e-6  # An orthographic camera may have the scale 0.
 DEFAULT_NEAR, DEFAULT_FAR = 0.1, 1000.0  # Those of a new camera.
 
 
@@ -56,7 +57,7 @@ def camera_projection(scene: bpy.types.Scene, camera: bpy.types.Object | None) -
         return Projection("panoramic", FULL_SPHERE, size, data.clip_start, data.clip_end)
     is_orthographic = data.type == "ORTHO"
     sensor = data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width
-    extent = data.ortho_scale if is_orthographic else sensor / data.lens
+    extent = max(data.ortho_scale if is_orthographic else sensor / data.lens, MIN_EXTENT)
     spans_width = sensor_spans_width(data, size[0] * pixel_aspect[0], size[1] * pixel_aspect[1])
     window = camera_window(extent, spans_width, (data.shift_x, data.shift_y), size, pixel_aspect)
     return Projection("orthographic" if is_orthographic else "perspective", window, size, data.clip_start, data.clip_end)

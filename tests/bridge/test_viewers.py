@@ -202,3 +202,8 @@ class TestViewport:
         scene.cursor.location = (7.0, 8.0, 9.0)
         assert viewers.viewer_matrix(scene, None).translation == mathutils.Vector((7.0, 8.0, 9.0))
         assert viewers.viewer_projection(scene, None).field_of_view[0] == pytest.approx(2.0 * math.atan(18.0 / 50.0))
+
+
+def test_an_orthographic_camera_of_scale_0_has_a_finite_resolution(scene):
+    scene.camera.data.type, scene.camera.data.ortho_scale = "ORTHO", 0.0
+    assert np.isfinite(viewers.camera_projection(scene, scene.camera).pixel_densities).all()

@@ -86,8 +86,10 @@ def read_primitives(item: bpy.types.Object, materials: GlbMaterials) -> tuple[Gl
     """Return the triangles of an object by material, in its own space with y upwards, with normals and the UV map that renders.
 
     Raises:
-        GeometryError: it has none. FileError: an image of a material cannot be read.
+        GeometryError: it has none, or is in Edit Mode. FileError: an image of a material cannot be read.
     """
+    if item.data.is_editmode:
+        raise GeometryError(f'"{item.name}" is in Edit Mode; leave it.')
     mesh = read_evaluated_mesh(item.data, item)
     if not len(mesh.triangles):
         raise GeometryError(f'"{item.name}" has no triangles to write; make its levels again.')
