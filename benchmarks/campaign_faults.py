@@ -1,9 +1,9 @@
 """Accidents and long sessions: `python3 benchmarks/campaign_faults.py [flags]`.
 
-Prints JSON. Parts (`--only`): `disk` (every writer of every script with room for 0, 1, ... 10 tenths of its output), `kill` (builds, bakes,
-exports and terrains killed at random moments), `memory` (builds, terrains and bakes in one session of Blender: the memory after the tenth
-and at the end), `crashes` (builds in processes of their own and in one process: crashes, core dumps, threads). Uses /proc and signals: only
-for Linux. FARFIELD_BPY selects the Blender.
+Prints JSON. Parts (`--only`): `disk` (every writer of every script with room for 0, 1, ... 10 tenths of its output), `kill` (runs of every
+tool killed at random moments), `memory` (runs of every tool in one session of Blender: the memory after the tenth and at the end),
+`crashes` (builds in processes of their own and in one process: crashes, core dumps, threads). Uses /proc and signals: only for Linux.
+FARFIELD_BPY selects the Blender.
 """
 
 import json
@@ -26,6 +26,7 @@ environment.import_farfield()
 sys.path.append(str(environment.ROOT / "tests"))
 
 import bpy
+import campaign_projects
 import campaign_runs
 from campaign_disk import measure_full_disks
 from campaign_kills import measure_kills
@@ -35,6 +36,7 @@ from farfield.addon.core.jobs.progress import Progress
 from lib import command_line
 
 SESSION = Path(__file__).with_name("campaign_session.py")
+MEMORY_KINDS = ("builds", "terrains", "unwraps", "restorations", "levels", "packages", "photo textures", "large terrains", "bakes")
 FIRST_RUN = 10  # memory is compared with that after this run: until then caches fill
 MAX_GROWTH = 0.05
 
@@ -46,9 +48,8 @@ def build_parser() -> command_line.Parser:
     )
     parser.add_argument("--only", nargs="+", choices=list(PARTS), default=list(PARTS), help="parts to run")
     parser.add_argument("--kills", type=int, default=200, help="killed runs of the part kill")
-    parser.add_argument("--builds", type=int, default=200, help="builds of the part memory")
-    parser.add_argument("--terrains", type=int, default=200, help="terrains of the part memory")
-    parser.add_argument("--bakes", type=int, default=50, help="bakes of the part memory")
+    parser.add_argument("--runs", type=int, default=200, help="runs of each kind of the part memory")
+    parser.add_argument("--kinds", nargs="+", choices=MEMORY_KINDS, default=MEMORY_KINDS, help="kinds of runs of the part memory")
     parser.add_argument("--processes", type=int, default=300, help="builds of the part crashes, in processes and once more in one process")
     parser.add_argument("--seed", type=int, help="seed of the random moments (default: a random one)")
     parser.add_argument("--minutes", type=float, default=600.0, help="time limit of all parts together")
@@ -101,7 +102,7 @@ def measure_memory(campaign: Campaign, figures: dict[str, Any], given: Namespace
     """Measure the memory after the tenth and after the last run of each kind in one session."""
     runs: list[dict[str, Any]] = []
     try:
-        _run_session(campaign, {"builds": given.builds, "terrains": given.terrains, "bakes": given.bakes}, runs)
+        _run_session(campaign, dict.fromkeys(given.kinds, given.runs), runs)
     finally:
         for kind in dict.fromkeys(run["kind"] for run in runs):
             figures[kind] = _compare_memory(campaign, kind, [run["memory_mb"] for run in runs if run["kind"] == kind])
@@ -146,9 +147,14 @@ def _run_session(campaign: Campaign, counts: dict[str, int], runs: list[dict[str
     """Run one session and append its runs to `runs` as they end. A session that dies is a finding."""
     log = campaign.sandbox / "session.jsonl"
     cloud = campaign_runs.create_cloud(campaign, campaign.sandbox / "session input")
+    project = campaign.sandbox / "session project"
+    if not project.exists():
+        campaign_projects.write_photo_project(project)
     log.write_bytes(b"")
     arguments = [f"{kind}={count}" for kind, count in counts.items() if count]
-    with campaign.start([sys.executable, str(SESSION), str(log), str(cloud), *arguments], before_exec=_allow_core_dumps) as process:
+    with campaign.start(
+        [sys.executable, str(SESSION), str(log), str(cloud), str(project), *arguments], before_exec=_allow_core_dumps
+    ) as process:
         for run in campaign_runs.follow_log(campaign, "one session", process, log):
             runs.append(run)
         outcome = process.outcome()

@@ -9,9 +9,16 @@ from random import Random
 from typing import Any
 
 import campaign_checks
+import campaign_projects
 import campaign_runs
+import numpy as np
 from campaign_checks import OLD_CONTENT, TEMPORARY_NAME
+from campaign_inputs import Samples
 from campaign_runs import BAKE_FLAGS, BUILD_FLAGS, POLL_SECONDS, RESTORE_FLAGS, TERRAIN_FLAGS, Campaign, RunningProcess, script
+from campaign_values import small_flags
+
+from farfield.addon.core.bdam import TerrainStore
+from farfield.addon.core.errors import FarfieldError
 
 ORPHAN_SECONDS = 15.0  # workers must notice within this time that their run has died
 KILLS_PER_RUN = 5  # then a complete run in the same folder must remove what is left
@@ -52,6 +59,11 @@ def measure_kills(campaign: Campaign, figures: dict[str, Any], kills: int) -> No
 def _create_jobs(campaign: Campaign, source: Path, cloud: Path) -> list[KilledJob]:
     root, cube = campaign.sandbox / "killed", source / "cube.obj"
     images, work = campaign_runs.write_image_and_mask(source), source / "work"
+    samples, project, heights = Samples(source / "samples"), source / "project", source / "heights.npy"
+    ball = samples.mesh_file(".glb")
+    campaign_projects.write_photo_project(project)
+    photographs = [project / "plane.obj", "--cameras", project / "transforms.json", "--images", project / "images"]
+    np.save(heights, np.add.outer(np.arange(257.0), np.sin(np.arange(257.0))))
     campaign_runs.run_successfully(
         campaign, "preparing", script("btf", cloud, "--out", source / "baked.blend", "--work", work, *BAKE_FLAGS)
     )
@@ -79,13 +91,19 @@ def _create_jobs(campaign: Campaign, source: Path, cloud: Path) -> list[KilledJo
         ),
         job("terrain", "clipbox", [*TERRAIN_FLAGS], {"--out": "out.blend"}),
         job("terrain as .ply", "clipbox", [*TERRAIN_FLAGS], {"--out": "out.ply", "--report": "report.json"}),
+        job("levels", "texmesh", ["levels", ball, *small_flags("texmesh")], {"--out": "out.blend", "--report": "report.json"}),
+        job("package", "packages", ["build", ball, *small_flags("packages")], {"--out": "package"}),
+        job("photo texture", "photos", [*photographs, "--size", "64"], {"--texture": "texture.png", "--out": "out.glb"}),
+        job("large terrain", "bdam", ["build", heights, *small_flags("bdam")], {"--out": "store"}),
+        job("large terrain, processes", "bdam", ["build", heights, "--patch-size", "16", "--executor", "processes:2"], {"--out": "store"}),
     ]
 
 
 def _kill(campaign: Campaign, job: KilledJob, delay: float) -> None:
     """Start a run, kill its process after `delay` seconds, and check the outputs and the workers."""
     for path in job.outputs:
-        _remove_complete_folder(path)
+        if "bdam" not in job.command[1]:  # whose folder is replaced
+            _remove_complete_folder(path)
         if path.suffix:  # others are folders
             path.write_bytes(OLD_CONTENT)
     with campaign.start(job.command, _variables(campaign, job)) as process:
@@ -99,12 +117,31 @@ def _kill(campaign: Campaign, job: KilledJob, delay: float) -> None:
         process.process.wait()
         _wait_for_workers(campaign, job, process, delay)
     for path in job.outputs:
+        if job.command[2:3] == ["build"] and "bdam" in job.command[1]:
+            _check_store(campaign, job, path, delay)
+            continue
         if (path.read_bytes() == OLD_CONTENT) if path.is_file() else not path.suffix and _is_empty(path):
             job.counts["old"] += 1
             continue
         for problem in campaign_checks.check_output(path):
             campaign.add_finding(f"kill, {job.name}, after {delay:.2f} s", f"{problem.kind}: {problem.text}", job.command)
         job.counts["new"] += 1
+
+
+def _check_store(campaign: Campaign, job: KilledJob, path: Path, delay: float) -> None:
+    """Check that a large terrain is complete, or was renamed a moment ago, in which case the next build gives it its name back."""
+    store = path if path.exists() else path.with_name(f".{path.name}.farfield-replaced")
+    if not store.exists():
+        job.counts["old"] += 1  # There was none.
+        return
+    try:
+        with TerrainStore(store) as opened:
+            damaged = list(opened.verify())
+    except FarfieldError as error:
+        damaged = [str(error)]
+    job.counts["new"] += 1
+    if damaged:
+        campaign.add_finding(f"kill, {job.name}, after {delay:.2f} s", f"damaged: {damaged[0]}", job.command)
 
 
 def _wait_for_workers(campaign: Campaign, job: KilledJob, process: RunningProcess, delay: float) -> None:
