@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import terrain_files
 from farfield.addon.core.bdam.building import heights, simplified_diamonds
 from farfield.addon.core.bdam.building.height_grid import HeightGrid, encode_heights
 from farfield.addon.core.bdam.building.terrain_build import build_terrain
@@ -225,6 +226,16 @@ def test_a_source_that_breaks_while_it_is_read_leaves_nothing(tmp_path):
     with pytest.raises(SettingsError, match="Height Step"):
         run_to_end(steps_of([write_source(tmp_path)], tmp_path / "store", height_step=1e-7))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["dem.tif", "heights.npy", "unknown.npy"]
+
+
+def test_an_image_that_cannot_be_read_leaves_nothing(tmp_path):
+    """The next build has another image, and could not go on from here."""
+    source, image = write_source(tmp_path, size=33), tmp_path / "ground.png"
+    terrain_files.write_png(image, np.zeros((64, 64), np.uint8))
+    image.write_bytes(image.read_bytes()[:-30])
+    with pytest.raises(FileError, match="damaged or truncated"):
+        run_to_end(steps_of([source], tmp_path / "store", [image]))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["ground.png", "heights.npy"]
 
 
 def test_filled_holes_have_all_triangles_and_known_heights_stay(tmp_path):

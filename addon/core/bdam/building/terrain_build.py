@@ -23,7 +23,7 @@ from ..store.structure import Level, StoreHeader
 from .finish import write_geometry
 from .heights import choose_height_step, fill_holes, write_heights
 from .store_target import check_target, delete_work_folder, replace_store, work_folder_path
-from .texture_stage import TextureWork, build_texture_tiles, plan_textures, write_texture_store
+from .texture_stage import TextureWork, build_texture_tiles, decode_images, plan_textures, write_texture_store
 from .work_folder import HEIGHTS_FILE, PARAMETERS_FILE, BuildParameters, LevelLayout, WorkFolder
 
 TASKS_MODULE = "addon.core.bdam.building.tasks"
@@ -100,7 +100,7 @@ def build_terrain(
         remove_temporary_files(folder)
         write_sealed(folder / PARAMETERS_FILE, work.parameters_content)
         with clock.stage("heights"):
-            holes = yield from subprogress(_read_heights(field, work, header, settings), 0.0, READ_END)
+            holes = yield from subprogress(_read_sources(field, work, header, settings, textures), 0.0, READ_END)
         with open_task_pool(settings.executor, TASKS_MODULE, [str(folder)], held, "parts") as pool:
             texture_end = READ_END + (FINISH_START - READ_END) * _texture_fraction(header, textures)
             if textures is not None:
@@ -119,14 +119,18 @@ def build_terrain(
     return _create_report(field, header, levels, holes, tiles, out, clock, textures)
 
 
-def _read_heights(field: TerrainField, work: WorkFolder, header: StoreHeader, settings: BdamSettings) -> Steps[int]:
-    """Write the heights to the work folder, filled if the settings say so. Returns the number of unknown samples.
+def _read_sources(
+    field: TerrainField, work: WorkFolder, header: StoreHeader, settings: BdamSettings, textures: TextureWork | None
+) -> Steps[int]:
+    """Write the heights to the work folder, filled if the settings say so, and decode images. Returns the number of unknown samples.
 
     A source that cannot be read leaves no work folder behind, since nothing in it is of use.
     """
     path = work.path / HEIGHTS_FILE
     try:
-        holes = yield from subprogress(write_heights(field, path, header.height_step), 0.0, 0.8 if settings.fill_holes else 1.0)
+        holes = yield from subprogress(write_heights(field, path, header.height_step), 0.0, 0.6)
+        if textures is not None:
+            yield from subprogress(decode_images(textures, work), 0.6, 0.8)
     except FarfieldError:
         delete_work_folder(work.path)
         raise

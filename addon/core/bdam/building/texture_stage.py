@@ -27,7 +27,6 @@ from .height_grid import HeightGrid
 from .work_folder import ADVICE, WorkFolder
 
 TILES_PER_TASK = 8
-DECODE_END = 0.1  # progress at which all images are decoded
 TEXTURE_TASK = "texture"  # first element of the items of these tasks
 TASKS_FILE, TEXTURES_FOLDER = "textures.json", "textures"
 CACHE_BYTES = 48 << 20  # bytes of decoded parts of TIFF files that a worker keeps
@@ -75,22 +74,31 @@ def plan_textures(field: TerrainField, tree: Tree, paths: Sequence[Path], settin
     return TextureWork(plan, tuple(images))
 
 
+def decode_images(textures: TextureWork, work: WorkFolder) -> Steps[None]:
+    """Decode the images that workers cannot read in parts, unless all tiles of the finest level are built.
+
+    Raises:
+        FileError: an image or a file cannot be read or written.
+    """
+    grid = textures.plan.grid
+    if len(missing_tiles(work.path / TEXTURES_FOLDER, grid, grid.level_count - 1)):
+        for index, image in enumerate(textures.images):
+            yield Progress(index / len(textures.images), "Decoding images")
+            decode_image(image, work.path)
+
+
 def build_texture_tiles(textures: TextureWork, work: WorkFolder, pool: TaskPool, has_holes: bool) -> Steps[None]:
-    """Build all tiles; goes on with what an interrupted build has left.
+    """Build all tiles from decoded images; goes on with what an interrupted build has left.
 
     has_holes: whether texels where heights are unknown become transparent.
 
     Raises:
-        FarfieldError: an image or a file cannot be read or written, or a worker fails.
+        FarfieldError: a file cannot be read or written, or a worker fails.
     """
     folder, grid = work.path / TEXTURES_FOLDER, textures.plan.grid
     with convert_os_errors(f'"{folder}" cannot be created'):
         folder.mkdir(exist_ok=True)
     finest = grid.level_count - 1
-    if len(missing_tiles(folder, grid, finest)):
-        for index, image in enumerate(textures.images):
-            yield Progress(DECODE_END * index / len(textures.images), "Decoding images")
-            decode_image(image, work.path)
     content = {"plan": textures.plan.to_json().decode(), "images": [asdict(image) for image in textures.images], "has_holes": has_holes}
     write_sealed(work.path / TASKS_FILE, json.dumps(content, sort_keys=True).encode())
     counts = [len(list_tiles(grid, level)) for level in range(grid.level_count)]
@@ -101,8 +109,7 @@ def build_texture_tiles(textures: TextureWork, work: WorkFolder, pool: TaskPool,
         done += counts[level]
         items = [[TEXTURE_TASK, level, missing[first : first + TILES_PER_TASK]] for first in range(0, len(missing), TILES_PER_TASK)]
         if items:
-            ends = (DECODE_END + (1.0 - DECODE_END) * fraction for fraction in (start, done / total))
-            yield from subprogress(pool.run(items, f"Texture level {level} of {finest}"), *ends)
+            yield from subprogress(pool.run(items, f"Texture level {level} of {finest}"), start, done / total)
         discard_pieces(folder, level + 1)
     for image in textures.images:
         if image.raw is not None:
