@@ -16,7 +16,8 @@ HEIGHT_SUFFIXES = (".npy", ".tif", ".png", ".hgt", ".asc")
 CAMERA_FILES = ("transforms.json", "cameras.txt", "bundle.out", "scene.nvm", "cameras.sfm", "chunk.xml", "points.pairs")
 STRUCTURE_VALUES = (0, -1, 2**40, 1e308, "x", None, [], [1], {}, True, 1.5)
 PHOTO_SIDE = 24
-POSITIONS = ((1.2, 0.0, 3.0), (0.0, 1.2, 3.0), (-1.2, 0.0, 3.0), (0.0, -1.2, 3.0))  # of photographs, above the plane
+# The cameras stand above the plane.
+POSITIONS = ((1.2, 0.0, 3.0), (0.0, 1.2, 3.0), (-1.2, 0.0, 3.0), (0.0, -1.2, 3.0))
 
 
 def mesh_input(random: Random, folder: Path, samples: Samples) -> Path:
