@@ -106,10 +106,13 @@ def check_files(code: int, before: State, after: State, outputs: list[str], igno
 
 def check_output(path: Path) -> list[Problem]:
     """Check that a file or folder exists and is complete, as far as its format tells."""
-    if not path.exists() or "<UDIM>" in path.name:  # The levels of a cloud or a mesh and the tiles of a texture have files of their own.
-        pattern = glob.escape(path.name).replace("<UDIM>", "*") if "<UDIM>" in path.name else f"{glob.escape(path.stem)}[-_]*{path.suffix}"
-        parts = sorted(path.parent.glob(pattern)) if path.parent.is_dir() else []
-        return [problem for part in parts for problem in check_output(part)] if parts else [Problem("output missing", path.name)]
+    # The levels of a cloud or a mesh and the tiles of a texture have files of their own.
+    pattern = glob.escape(path.name).replace("<UDIM>", "*") if "<UDIM>" in path.name else f"{glob.escape(path.stem)}[-_]*{path.suffix}"
+    parts = sorted(path.parent.glob(pattern)) if path.suffix and path.parent.is_dir() else []
+    if parts:
+        return [problem for part in parts if part != path for problem in check_output(part)]
+    if not path.exists():
+        return [Problem("output missing", path.name)]
     if path.is_dir():
         return [problem for child in path.iterdir() for problem in check_output(child)]
     return [] if _is_complete(path) else [Problem("output not complete", path.name)]

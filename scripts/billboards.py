@@ -8,6 +8,7 @@ their textures). `blender --background --python scripts/billboards.py -- INPUT -
 import math
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from farfield.addon.bridge.cameras import read_scene_camera
 from farfield.addon.core.billboards.cloud import Level
 from farfield.addon.core.billboards.settings import BillboardSettings, BuildOptions, CrossfadeSettings
 from farfield.addon.core.errors import FileError, GeometryError
+from farfield.addon.core.files.outputs import Output, check_outputs, is_named_by
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
 from farfield.addon.core.settings import add_flags
 from farfield.addon.operators.billboards.job import BillboardJob, prepare_job
@@ -101,6 +103,8 @@ def write_output(out: Path, job: BillboardJob) -> None:
     with atomic_folder(out.parent) as folder, mute_stderr():  # the exporter prints the tracebacks of errors that it also raises
         if extension == ".obj":
             write_obj(levels, folder / out.name)
+            is_ours = partial(is_named_by, material_path(out))
+            check_outputs([Output("an image of --out", out.with_name(path.name), is_ours=is_ours) for path in folder.glob("*.png")], [])
         else:
             write_glb(levels, folder / out.name)
 

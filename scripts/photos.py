@@ -28,7 +28,7 @@ from farfield.addon.bridge.photos.photo_files import apply_mask_file, check_mask
 from farfield.addon.bridge.photos.results import assign_texture, create_textures
 from farfield.addon.bridge.photos.surfaces import read_surface
 from farfield.addon.core.errors import FileError
-from farfield.addon.core.files.outputs import Output
+from farfield.addon.core.files.outputs import OBJ_COMMENT, Output
 from farfield.addon.core.files.scratch import Scratch
 from farfield.addon.core.geometry.lenses import PhotoCamera
 from farfield.addon.core.geometry.mesh import TriangleMesh
@@ -279,6 +279,8 @@ def write_scene(objects: list[bpy.types.Object], out: Path) -> None:
     with atomic_folder(out.parent) as temporary, mute_stderr():
         if extension == ".obj":
             bpy.ops.wm.obj_export(filepath=str(temporary / out.name), forward_axis="Y", up_axis="Z", path_mode="ABSOLUTE")
+            for path in temporary.glob("*.mtl"):
+                path.write_text(OBJ_COMMENT + path.read_text(encoding="utf-8"), encoding="utf-8")
         else:
             bpy.ops.export_scene.gltf(filepath=str(temporary / out.name), export_format="GLB")
 

@@ -187,6 +187,14 @@ def test_obj_output_has_the_same_quads(cube):
         textures = [node.image for node in item.data.materials[0].node_tree.nodes if node.type == "TEX_IMAGE"]
         assert textures and all(image.has_data or image.size[0] for image in textures)
 
+    materials = out.with_suffix(".mtl")
+    assert materials.read_text(encoding="utf-8").startswith("# Farfield\n"), "by which a later run recognizes its own file"
+    for path in (out, materials):
+        path.write_text("# of the user\n", encoding="utf-8")
+    with pytest.raises(FileError, match=r"would replace .*cloud out\.mtl.*which Farfield did not write"):
+        main(cube, "--out", out)
+    assert materials.read_text(encoding="utf-8") == "# of the user\n"
+
 
 @pytest.mark.parametrize("name", ["cloud.glb", "...glb"])  # Blender's exporter finds no extension in the second
 def test_glb_output_has_textures_and_properties(cube, name):

@@ -8,6 +8,7 @@ import numpy as np
 
 from ...compat import enable_nodes
 from ...core.files.filenames import safe_filename, unique_filenames
+from ...core.files.outputs import OBJ_COMMENT
 from ...core.geometry.transforms import transform_points
 from ...core.imaging.images import dilate
 from ..geometry.mesh_arrays import read_positions, read_uvs, read_values
@@ -38,7 +39,7 @@ def write_obj(levels: list[bpy.types.Object], path: Path) -> None:
             materials += [f"map_Kd {image_name}", f"map_d {image_name}"]
         shapes += [f"o {name}", *_format_shape(level, name, first_vertex)]
         first_vertex += len(level.data.vertices)
-    mtl.write_text("\n".join(materials) + "\n", encoding="utf-8")
+    mtl.write_text(OBJ_COMMENT + "\n".join(materials) + "\n", encoding="utf-8")
     path.write_text("\n".join(shapes) + "\n", encoding="utf-8")
 
 

@@ -13,6 +13,7 @@ from ..errors import FileError
 from .file_access import check_writable, convert_os_errors, read_status, resolve_links
 
 Identity = str | tuple[int, int]
+OBJ_COMMENT = "# Farfield\n"  # the first line of material files that Farfield writes
 MAX_REFERENCE_BYTES = 1 << 16  # A file names those that belong to it near its beginning.
 
 
@@ -85,7 +86,14 @@ def check_outputs(outputs: Sequence[Output], inputs: Sequence[Input]) -> None:
 
 
 def is_named_by(main: Path, path: Path) -> bool:
-    """Whether the file `main` names the file `path` near its beginning, as an .obj names its materials. Raises OSError."""
+    """Whether `path` begins with OBJ_COMMENT, or the file `main` names it near its beginning, as an .obj names its materials.
+
+    Raises:
+        OSError: a file cannot be read.
+    """
+    with path.open("rb") as file:
+        if file.read(len(OBJ_COMMENT)) == OBJ_COMMENT.encode():
+            return True
     if not main.is_file():
         return False
     with main.open("rb") as file:
