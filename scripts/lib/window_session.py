@@ -87,7 +87,7 @@ def run_steps(steps: Iterator[float], on_end: Callable[[str | None], None]) -> N
 
     bpy.context.preferences.view.show_splash = False
     addon_utils.enable(PACKAGE)
-    bpy.app.timers.register(advance, first_interval=3.0)
+    bpy.app.timers.register(advance, first_interval=3.0, persistent=True)
 
 
 def _belongs_to(panel_module, tool: str) -> bool:

@@ -76,4 +76,5 @@ def session() -> Iterator[float]:
     save_screenshot("6-undone")
 
 
-start_session(session)
+if __name__ == "__main__":
+    start_session(session)
