@@ -84,7 +84,8 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
         write_output(out, engine, choose_terrain_origin(positions[-1], settings))
     if given.report is not None:
         command_line.write_report(given.report.absolute(), build_report(engine, clock))
-    return f'"{out.name}": {sum(box["triangles"] for box in engine.statistics()):,} triangles in {settings.boxes} boxes.'
+    summary = f'"{out.name}": {sum(box["triangles"] for box in engine.statistics()):,} triangles in {settings.boxes} boxes.'
+    return " ".join([summary, *engine.warnings])
 
 
 def make_sources_absolute(settings: ClipboxSettings) -> ClipboxSettings:
@@ -219,6 +220,7 @@ def build_report(engine: TerrainEngine, clock: StageClock) -> dict[str, Any]:
         "boxes": boxes,
         "reused_fraction": None if engine.moves < 2 else round(reused / (reused + computed - engine.initial_voxels), 4),
         "moves": engine.moves,
+        "warnings": list(engine.warnings),
         "seconds": {stage: round(seconds, 4) for stage, seconds in (clock.seconds | engine.clock.seconds).items()},
         "peak_memory_mb": round(command_line.peak_memory_mb(), 1),
     }

@@ -36,7 +36,10 @@ LAST_NETS = {  # may catch Exception
     *("addon/operators/error_reports.py", "addon/operators/long_work.py", "scripts/lib/command_line.py"),
     *("addon/operators/follow_handlers.py", "addon/operators/view_following.py"),
 }
-SHARED_PACKAGES = {"core": {"geometry", "imaging", "files", "jobs"}, "bridge": {"geometry", "imaging", "overlays", "rendering", "shading"}}
+SHARED_PACKAGES = {
+    "core": {"geometry", "heights", "imaging", "files", "jobs"},
+    "bridge": {"geometry", "imaging", "overlays", "rendering", "shading"},
+}
 # Not standard terms of the field; see CONTRIBUTING.md, Words.
 RETIRED_IN_IDENTIFIERS = set(
     "anew apart aslant bend bends carved centre centred centres colour coloured colours dearness fewest glow grey hear hears hue "  # noqa: SIM905

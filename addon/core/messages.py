@@ -14,6 +14,14 @@ def format_count(number: int, noun: str) -> str:
     return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
+def format_bytes(count: int) -> str:
+    """Return a number of bytes in the unit that suits it: "12 bytes", "1.5 kB", "2.34 GB"."""
+    for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if count >= size:
+            return f"{count / size:,.3g} {unit}" if count < 1e3 * size else f"{count / size:,.0f} {unit}"
+    return format_count(count, "byte")
+
+
 def single_line(message: object) -> str:
     """Return the text of `message` on one line that can be encoded: control characters become spaces, bytes that are no text U+FFFD."""
     return NOT_UNICODE.sub("\ufffd", NOT_PRINTABLE.sub(" ", str(message)))

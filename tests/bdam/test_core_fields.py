@@ -232,7 +232,7 @@ class TestImages:
         field = open_field([path], FieldSettings(image_height=200.0), lambda _: (gray[::-1] / white).astype(np.float32))
         assert np.allclose(read_all(field), 200.0 * gray[::-1] / white, rtol=1e-5)
         assert field.height_step == pytest.approx(200.0 / white)
-        assert any("steps of 0.784 m; use an image with 16 bits" in warning for warning in field.warnings) == (dtype == np.uint8)
+        assert any("256 different heights; use an image with 16 bits" in warning for warning in field.warnings) == (dtype == np.uint8)
 
     def test_exr_has_no_steps(self, tmp_path):
         (tmp_path / "map.exr").write_bytes(b"\x76\x2f\x31\x01")
@@ -319,7 +319,7 @@ class TestErrors:
         (tmp_path / "map.npy").write_bytes((tmp_path / "map.npy").read_bytes()[:-9])
         self.refuse(tmp_path / "map.npy", "cannot be read as a NumPy array: it is truncated")
         tile = write_hgt(tmp_path / "N01E001.hgt", np.ones((1201, 1200), np.int16))
-        self.refuse(tile, "has 2,882,400 bytes; an SRTM tile has 2,884,802 or 25,934,402")
+        self.refuse(tile, "has 2,882,400 bytes; an SRTM tile has 2,884,802, 12,970,802, 25,934,402 or 103,708,802")
         self.refuse(
             write_hgt(tmp_path / "alps.hgt", np.ones((1201, 1201), np.int16)), 'the position of its south-west corner, as in "N46E008.hgt"'
         )

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from farfield.addon.core.clipbox.files.readers import read_file
+from farfield.addon.core.errors import FileError
 from tiff_writer import AREA_KEYS, map_tags, write_tiff
 
 pytest.importorskip("tifffile")
@@ -20,11 +21,17 @@ def test_compressions_and_predictors(tmp_path, compression):
         assert np.array_equal(height_map.heights, HEIGHTS[::-1]) and height_map.pixel_size == (5.0, 7.0)
 
 
-def test_the_pixel_size_of_a_rotated_map(tmp_path):
-    cosine, sine = 0.8, 0.6
-    matrix = (5.0 * cosine, 7.0 * sine, 0.0, 100.0, 5.0 * sine, -7.0 * cosine, 0.0, 200.0, *(0.0,) * 7, 1.0)
-    height_map = read_file(write_tiff(tmp_path / "map.tif", HEIGHTS, tags={34264: (12, matrix)}))
-    assert height_map.pixel_size == pytest.approx((5.0, 7.0))
+def test_maps_that_are_turned(tmp_path):
+    """Maps whose rows run to the north are the right way up, and rotated ones are refused, as by the other terrain tool."""
+    matrices = {"south_up": (5.0, 0.0, 0.0, 7.0), "rotated": (4.0, 4.2, 3.0, -5.6), "mirrored": (-5.0, 0.0, 0.0, -7.0)}
+    for name, (a, b, d, e) in matrices.items():
+        path = write_tiff(tmp_path / f"{name}.tif", HEIGHTS, tags={34264: (12, (a, b, 0.0, 100.0, d, e, 0.0, 200.0, *(0.0,) * 7, 1.0))})
+        if name == "south_up":
+            height_map = read_file(path)
+            assert np.array_equal(height_map.heights, HEIGHTS) and height_map.pixel_size == (5.0, 7.0)
+        else:
+            with pytest.raises(FileError, match=f"is {name} on the map"):
+                read_file(path)
 
 
 @pytest.mark.parametrize("keys", [AREA_KEYS, AREA_KEYS[:4] + AREA_KEYS[4:8]])

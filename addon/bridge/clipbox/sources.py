@@ -10,16 +10,16 @@ from ...core.clipbox.files import readers
 from ...core.clipbox.files.file_data import HeightMap
 from ...core.clipbox.files.readers import BLEND_PREFIX, Readers
 from ...core.clipbox.settings import ClipboxSettings
+from ...core.heights.readers import IMAGE_EXTENSIONS
 from ..imaging.images import read_gray_image
 from .openvdb_files import read_vdb
 
-IMAGE_EXTENSIONS = (".png", ".jpg", ".jpeg", ".exr", ".hdr", ".webp", ".bmp")
 VOLUME_EXTENSION = ".vdb"
 
 
 def read_image(path: Path) -> HeightMap:
     """Read an image as heights; see `read_gray_image`. Call it on Blender's main thread. Raises FileError."""
-    return HeightMap(read_gray_image(path))
+    return readers.read_heights(path, read_gray_image)
 
 
 def absolute_path(path: str, library: bpy.types.Library | None = None) -> str:

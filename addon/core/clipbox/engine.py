@@ -55,6 +55,7 @@ class TerrainEngine:
         finished_blocks: blocks that the current move has finished, which may be shown early; every move starts with an empty queue.
         moves: number of moves.
         initial_voxels: voxels computed by the first move.
+        warnings: sentences for the user about the source file.
     """
 
     def __init__(self, settings: ClipboxSettings, readers: Readers = READERS, closed: bool = False) -> None:
@@ -65,7 +66,9 @@ class TerrainEngine:
         """
         self.settings = settings
         self.clock = StageClock()
-        self.boxes = NestedBoxes(build_sampler(settings, readers), settings, closed)
+        sampler = build_sampler(settings, readers)
+        self.warnings = sampler.warnings
+        self.boxes = NestedBoxes(sampler, settings, closed)
         self.finished_blocks: SimpleQueue[tuple[BlockKey, BlockMesh]] = SimpleQueue()
         self.moves = 0
         self.initial_voxels = 0

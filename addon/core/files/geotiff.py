@@ -1,17 +1,31 @@
-"""The position of a map on the ground from the tags of its TIFF file (OGC 19-008r4, GeoTIFF 1.1; tag 42113 is GDAL's own).
+"""The position of a map on the ground from the tags of its TIFF file (OGC 19-008r4, GeoTIFF 1.1; 42112 and 42113 are GDAL's own).
 
 The package rasterio reads more, but would add 36 MB to the zip of every platform for these few tags.
 """
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from ..geometry.coordinate_systems import (
+    DEGREES_PER_GRAD,
+    FOOT,
+    GEOGRAPHIC_CODES,
+    GRAD_CODES,
+    SURVEY_FOOT,
+    VERTICAL_CODES,
+    WEB_MERCATOR,
+    WEB_MERCATOR_NAME,
+    unit_of_code,
+    unit_of_name,
+)
+from ..messages import single_line
 from .height_maps import are_valid_sizes
 
 PIXEL_SCALE, TIEPOINT, TRANSFORMATION = 33550, 33922, 34264  # tags
-GEO_KEYS, GEO_DOUBLES, NO_DATA = 34735, 34736, 42113
-GEO_TAGS = (PIXEL_SCALE, TIEPOINT, TRANSFORMATION, GEO_KEYS, GEO_DOUBLES, NO_DATA)
+GEO_KEYS, GEO_DOUBLES, GEO_TEXTS, GDAL_METADATA, NO_DATA = 34735, 34736, 34737, 42112, 42113
+GEO_TAGS = (PIXEL_SCALE, TIEPOINT, TRANSFORMATION, GEO_KEYS, GEO_DOUBLES, GEO_TEXTS, GDAL_METADATA, NO_DATA)
 MAP_TAGS = (PIXEL_SCALE, TRANSFORMATION, GEO_KEYS, NO_DATA)  # an image with one of these holds elevations, not gray values
 
 MODEL_TYPE, RASTER_TYPE = 1024, 1025  # geo keys
@@ -22,9 +36,11 @@ POINT = 2  # value of RASTER_TYPE
 USER_DEFINED = 32767
 MAX_ROTATION = 1e-9  # Radians; less is rounding, and moves no sample by a thousandth of a pixel.
 
-METERS = {9001: 1.0, 9002: 0.3048, 9003: 1200.0 / 3937.0}  # by unit code: meter, foot, US survey foot
-VERTICAL_CRS_METERS = {5702: 1200.0 / 3937.0, 6360: 1200.0 / 3937.0, 8228: 0.3048}  # heights above NGVD29 and NAVD88 in feet
-DEGREES = {9101: math.degrees(1.0), 9102: 1.0, 9103: 1.0 / 60.0, 9104: 1.0 / 3600.0, 9105: 0.9}  # radian to gon
+METERS = {9001: 1.0, 9002: FOOT, 9003: SURVEY_FOOT}  # by unit code: meter, foot, US survey foot
+DEGREES = {9101: math.degrees(1.0), 9102: 1.0, 9103: 1.0 / 60.0, 9104: 1.0 / 3600.0, 9105: DEGREES_PER_GRAD, 9106: DEGREES_PER_GRAD}
+MAX_METADATA = 1 << 20  # characters of GDAL's metadata that are searched
+METADATA_ITEM = re.compile(r"<Item\b([^<>]*)>([^<>]*)</Item>")  # elements with text only
+METADATA_ATTRIBUTE = re.compile(r"(\w+)\s*=\s*[\"']([^\"']*)[\"']")
 
 
 @dataclass(frozen=True)
@@ -37,18 +53,25 @@ class GeoReference:
         is_point: whether the file counts from the centers of pixels (pixel-is-point), not from their corners; `affine` allows for it.
         model_type: PROJECTED, GEOGRAPHIC, GEOCENTRIC, or None.
         epsg: code of the coordinate reference system, None if it is not declared or user-defined.
+        has_unit: whether the file declares the unit of its positions, or a system that tells it.
         horizontal_unit: degrees of a geographic model, meters of all others; None if its code is unknown.
         vertical_unit: meters.
-        no_data: the number that means unknown.
+        no_data: the sample that means unknown.
+        scale, offset: a height in the vertical unit is a sample times the scale, plus the offset.
+        remarks: ends of sentences for the user that begin with the file, about what is not as the file may mean it.
     """
 
     affine: tuple[float, float, float, float, float, float] | None = None
     is_point: bool = False
     model_type: int | None = None
     epsg: int | None = None
+    has_unit: bool = False
     horizontal_unit: float | None = 1.0
     vertical_unit: float = 1.0
     no_data: float | None = None
+    scale: float = 1.0
+    offset: float = 0.0
+    remarks: tuple[str, ...] = ()
 
     @property
     def is_rotated(self) -> bool:
@@ -61,24 +84,70 @@ class GeoReference:
 
 def read_georeference(tags: Mapping[int, object]) -> GeoReference:
     """Return the georeference from the values of the tags GEO_TAGS, by number. Damaged tags count as missing."""
-    keys = _read_geo_keys(tags)
-    model_type = keys.get(MODEL_TYPE)
+    keys, metadata = _read_geo_keys(tags), _read_metadata(tags)
+    model_type, epsg = _read_system(keys, str(tags.get(GEO_TEXTS, "")))
     is_point = keys.get(RASTER_TYPE) == POINT
-    epsg = keys.get(GEOGRAPHIC_CRS if model_type == GEOGRAPHIC else PROJECTED_CRS)
     if model_type == GEOGRAPHIC:
-        horizontal_unit = DEGREES.get(int(keys.get(ANGULAR_UNIT, 9102)))
+        horizontal_unit = DEGREES.get(int(keys.get(ANGULAR_UNIT, 9105 if epsg in GRAD_CODES else 9102)))
+    elif LINEAR_UNIT in keys:
+        horizontal_unit = METERS.get(int(keys[LINEAR_UNIT]), keys.get(LINEAR_UNIT_SIZE))
     else:
-        horizontal_unit = METERS.get(int(keys.get(LINEAR_UNIT, 9001)), keys.get(LINEAR_UNIT_SIZE))
-    vertical_unit = METERS.get(keys.get(VERTICAL_UNIT), VERTICAL_CRS_METERS.get(keys.get(VERTICAL_CRS), 1.0))
+        horizontal_unit = 1.0 if epsg is None else unit_of_code(epsg)
+    vertical_unit, remarks = _read_vertical_unit(keys, metadata.get("unittype", ""), horizontal_unit if model_type == PROJECTED else 1.0)
+    scale, offset = (_parse_number(metadata.get(role, "")) for role in ("scale", "offset"))
     return GeoReference(
         affine=_read_affine(tags, is_point),
         is_point=is_point,
-        model_type=None if model_type is None else int(model_type),
-        epsg=None if epsg in (None, 0, USER_DEFINED) else int(epsg),
+        model_type=model_type,
+        epsg=epsg,
+        has_unit=model_type in (GEOGRAPHIC, GEOCENTRIC) or epsg is not None or LINEAR_UNIT in keys,
         horizontal_unit=horizontal_unit,
         vertical_unit=vertical_unit,
         no_data=_parse_number(tags[NO_DATA]) if NO_DATA in tags else None,
+        scale=scale if scale is not None and are_valid_sizes((abs(scale),)) else 1.0,
+        offset=offset if offset is not None and math.isfinite(offset) else 0.0,
+        remarks=remarks,
     )
+
+
+def has_elevations(tags: Mapping[int, object]) -> bool:
+    """Return whether tags say that an image holds elevations, not gray values."""
+    return any(code in tags for code in MAP_TAGS) or not {"scale", "offset", "unittype"}.isdisjoint(_read_metadata(tags))
+
+
+def _read_system(keys: Mapping[int, float], texts: str) -> tuple[int | None, int | None]:
+    """Return the model type and the EPSG code. Files without a model type have the one of the system that they name."""
+    codes = {key: int(keys[key]) for key in (GEOGRAPHIC_CRS, PROJECTED_CRS) if 0 < keys.get(key, 0) < 2**31}
+    model_type = int(keys[MODEL_TYPE]) if keys.get(MODEL_TYPE) in (PROJECTED, GEOGRAPHIC, GEOCENTRIC) else None
+    if model_type is None and codes:
+        model_type = PROJECTED if PROJECTED_CRS in codes else GEOGRAPHIC
+    if model_type != GEOGRAPHIC and codes.get(PROJECTED_CRS) in GEOGRAPHIC_CODES:
+        model_type, codes = GEOGRAPHIC, {GEOGRAPHIC_CRS: codes[PROJECTED_CRS]}
+    epsg = codes.get(GEOGRAPHIC_CRS if model_type == GEOGRAPHIC else PROJECTED_CRS, USER_DEFINED)
+    if epsg == USER_DEFINED:
+        epsg = int(WEB_MERCATOR.partition(":")[2]) if model_type == PROJECTED and WEB_MERCATOR_NAME.search(texts) else None
+    return model_type, epsg
+
+
+def _read_vertical_unit(keys: Mapping[int, float], name: str, horizontal_unit: float | None) -> tuple[float, tuple[str, ...]]:
+    """Return the meters per unit of the heights, and remarks. name: the unit in GDAL's metadata."""
+    if name := single_line(name).strip():
+        unit = unit_of_name(name)
+        return (1.0, (f'has heights in the unknown unit "{name[:40]}"; they are taken as meters.',)) if unit is None else (unit, ())
+    if VERTICAL_UNIT in keys or VERTICAL_CRS in keys:
+        return METERS.get(keys.get(VERTICAL_UNIT), VERTICAL_CODES.get(keys.get(VERTICAL_CRS), 1.0)), ()
+    is_feet = horizontal_unit in (FOOT, SURVEY_FOOT)
+    return 1.0, ("has positions in feet and heights without a unit; they are taken as meters.",) if is_feet else ()
+
+
+def _read_metadata(tags: Mapping[int, object]) -> dict[str, str]:
+    """Return the values of GDAL's metadata that describe the first band, by role: offset, scale, unittype."""
+    values = {}
+    for attributes, text in METADATA_ITEM.findall(str(tags.get(GDAL_METADATA, ""))[:MAX_METADATA]):
+        item = dict(METADATA_ATTRIBUTE.findall(attributes))
+        if item.get("sample", "0") == "0" and "role" in item:
+            values.setdefault(item["role"].lower(), text)
+    return values
 
 
 def _read_affine(tags: Mapping[int, object], is_point: bool) -> tuple[float, float, float, float, float, float] | None:
@@ -119,6 +188,6 @@ def _numbers(value: object) -> tuple[float, ...]:
 
 def _parse_number(value: object) -> float | None:
     try:
-        return float(value if isinstance(value, int | float) else str(value).strip("\0 "))
+        return float(value if isinstance(value, int | float) else str(value).strip("\0 ").replace(",", "."))
     except ValueError:
         return None

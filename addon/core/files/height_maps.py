@@ -8,6 +8,7 @@ from ..errors import FileError
 
 MAX_BYTES = 2**31  # Samples in memory; more would not fit next to a scene. Readers by window have no such limit.
 MAX_PRINTED_BYTES = 2**50  # larger sizes come from damaged headers and may have hundreds of digits
+MAX_SAMPLES = 1 << 20  # along each side of a map that is read by window
 HEIGHT_BYTES = 4  # A height in memory has them, whatever its type in the file.
 CHUNK_SAMPLES = 1 << 20  # samples that are converted at once, so that temporary arrays stay small
 NO_DATA_MAGNITUDE = 1e30  # some programs write numbers this large for unknown values without declaring it

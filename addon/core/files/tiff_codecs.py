@@ -22,11 +22,15 @@ FIRST_CODES = 4096  # codes that are extracted at once; most writers clear the t
 def decode_segment(data: bytes, compression: int, predictor: int, shape: tuple[int, int, int], dtype: np.dtype) -> np.ndarray:
     """Return the samples (rows, columns, channels) of a compressed strip or tile, in the byte order of this machine.
 
-    dtype: as stored, with its byte order.
+    dtype: as stored, with its byte order; bool for single bits, whose rows begin at whole bytes.
 
     Raises:
         ValueError, zlib.error: the segment is damaged, or too short.
     """
+    if dtype.kind == "b":
+        bits = shape[1] * shape[2]
+        packed = np.frombuffer(decompress(data, compression, shape[0] * -(-bits // 8)), np.uint8).reshape(shape[0], -1)
+        return np.unpackbits(packed, axis=1, count=bits).view(bool).reshape(shape)
     decoded = decompress(data, compression, math.prod(shape) * dtype.itemsize)
     if predictor == FLOATING_POINT:
         return undo_float_predictor(decoded, shape, dtype)

@@ -11,7 +11,7 @@ import struct
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
@@ -20,13 +20,13 @@ import numpy as np
 
 from ..errors import FileError
 from .array_files import read_raw_window
-from .geotiff import GEO_TAGS, MAP_TAGS, GeoReference, read_georeference
+from .geotiff import GEO_TAGS, GeoReference, has_elevations, read_georeference
 from .height_maps import check_numeric, check_size
 from .segment_cache import SegmentCache
 from .tiff_codecs import MAX_RATIOS, NONE, decode_segment
 
 if TYPE_CHECKING:
-    from tifffile import TiffPage
+    from tifffile import TiffFile, TiffPage
 
 try:
     from lzma import LZMAError
@@ -35,6 +35,9 @@ except ImportError:  # Python can be built without it
 
 PREDICTORS = (1, 2, 3)
 PALETTE = 3  # value of the tag PhotometricInterpretation
+REDUCED, MASK = 1, 4  # bits of the tag NewSubfileType
+ALPHAS = (1, 2)  # values of the tag ExtraSamples
+MAX_PAGES = 64  # images of a file that are looked at
 AXES = ("YX", "YXS", "SYX")  # Axes of a single image, with its channels last or first.
 TIFFFILE_ERRORS = (  # raised by tifffile and by decompression for damaged files
     *(ArithmeticError, AttributeError, EOFError, LookupError, RuntimeError, TypeError, ValueError),
@@ -55,12 +58,16 @@ class TiffImage:
         dtype: type of the samples, in the byte order of this machine.
         is_palette: whether samples are indices of colors.
         is_map: whether GeoTIFF tags declare it a map.
+        alpha: index of the channel that is 0 where a pixel is transparent, None if there is none.
         georeference: where it lies.
         segment_shape: rows and columns of a strip or tile.
         is_tiled, is_planar, is_big_endian: tiles rather than strips; a plane per channel; byte order of the file.
         compression, predictor: values of these tags.
         offsets, byte_counts: (N,) int64, where the segments are, row by row, plane after plane; 0, 0 for one that is not stored.
         decode_other: tifffile's decoder, for segments that `tiff_codecs` does not decode.
+        page: index of the image in the file.
+        mask: the image of the file whose pixels are 0 where those of this one are unknown.
+        image_count: images in the file, without masks and smaller versions of others; those that follow after MAX_PAGES do not count.
     """
 
     path: Path
@@ -69,6 +76,7 @@ class TiffImage:
     dtype: np.dtype
     is_palette: bool
     is_map: bool
+    alpha: int | None
     georeference: GeoReference
     segment_shape: tuple[int, int]
     is_tiled: bool
@@ -80,6 +88,9 @@ class TiffImage:
     byte_counts: np.ndarray
     file_size: int
     decode_other: Callable[[bytes, int], np.ndarray] | None
+    page: int = 0
+    mask: "TiffImage | None" = None
+    image_count: int = 1
 
     @property
     def max_segment_bytes(self) -> int:
@@ -88,8 +99,15 @@ class TiffImage:
             return self.shape[1] * self.dtype.itemsize
         return math.prod(self.segment_shape) * self._segment_channels * self.dtype.itemsize
 
+    @property
+    def is_compressed(self) -> bool:
+        """Whether strips or tiles are decoded as a whole."""
+        return not self._is_raw
+
     def check_complete(self) -> None:
         """Raise FileError unless the file is as long as its header says, and its strips or tiles fit into memory. Call it before `read`."""
+        if self.mask is not None:
+            self.mask.check_complete()
         check_size(self.path, self.max_segment_bytes, 1)
         across, down = self._segment_counts
         count = across * down * (self.channels if self.is_planar else 1)
@@ -135,7 +153,7 @@ class TiffImage:
 
     @property
     def _is_raw(self) -> bool:
-        return self.decode_other is None and self.compression == NONE and self.predictor == 1
+        return self.decode_other is None and self.compression == NONE and self.predictor == 1 and self.dtype.kind != "b"
 
     def _read_segment(
         self, file: BinaryIO, position: tuple[int, int, int], within: tuple[slice, slice], cache: SegmentCache | None
@@ -161,7 +179,7 @@ class TiffImage:
                 return self.decode_other(data, index).reshape(-1, *shape[1:])
             return decode_segment(data, self.compression, self.predictor, shape, self._stored_dtype)
 
-        segment = decode() if cache is None else cache.get((self.path, index), decode)
+        segment = decode() if cache is None else cache.get((self.path, self.page, index), decode)
         return segment[within]
 
     @property
@@ -177,7 +195,7 @@ class TiffImage:
 
 
 def open_tiff(path: Path) -> TiffImage:
-    """Read the header of the first image of a TIFF file.
+    """Read the header of the first image of a TIFF file, and of its mask, which may be a file of its own (GDAL's .msk).
 
     Raises:
         FileError: it is not a TIFF file, is truncated, has an unsupported compression, or is not a single image of numbers.
@@ -189,7 +207,30 @@ def open_tiff(path: Path) -> TiffImage:
             f'"{path}" needs the Python package tifffile, which is missing; install the Farfield extension, which includes it.'
         ) from None
     with convert_tiff_errors(path), tifffile.TiffFile(path) as file:
-        return _describe(path, file.pages.first, path.stat().st_size)
+        size = path.stat().st_size
+        image = _describe(path, file.pages.first, size)
+        mask, image_count = None, 1
+        for page in _read_further_pages(file):
+            if page.subfiletype & MASK:
+                is_own = not page.subfiletype & REDUCED and (page.imagelength, page.imagewidth) == image.shape
+                mask = _describe(path, page, size) if is_own and mask is None else mask
+            else:
+                image_count += not page.subfiletype & REDUCED
+    external = path.with_name(f"{path.name}.msk")
+    if mask is None and external.is_file():
+        other = open_tiff(external)
+        mask = other if other.shape == image.shape else None
+    return replace(image, mask=mask, image_count=image_count)
+
+
+def _read_further_pages(file: "TiffFile") -> Iterator["TiffPage"]:
+    """Yield the images after the first one, up to the first that is damaged."""
+    for index in range(1, MAX_PAGES):
+        try:
+            page = file.pages[index]
+        except TIFFFILE_ERRORS:
+            return
+        yield page
 
 
 @contextmanager
@@ -218,16 +259,19 @@ def _describe(path: Path, page: "TiffPage", file_size: int) -> TiffImage:
     offsets, byte_counts = (np.array(numbers, np.int64) for numbers in (page.dataoffsets, page.databytecounts))
     rows, columns = page.imagelength, page.imagewidth
     compression, predictor = int(page.compression), int(page.predictor)
-    is_plain = page.bitspersample == 8 * dtype.itemsize and page.fillorder == 1 and dtype.kind in "iuf"
-    is_supported = is_plain and compression in MAX_RATIOS and predictor in PREDICTORS and (predictor != 3 or dtype.kind == "f")
+    is_plain = page.bitspersample == (1 if dtype.kind == "b" else 8 * dtype.itemsize) and page.fillorder == 1 and dtype.kind in "iufb"
+    has_predictor = predictor in PREDICTORS and (predictor == 1 or dtype.kind != "b") and (predictor != 3 or dtype.kind == "f")
     tags = {code: page.tags[code].value for code in GEO_TAGS if page.tags.get(code) is not None}
+    extra = [int(kind) for kind in page.extrasamples]
+    alpha = next((page.samplesperpixel - len(extra) + index for index, kind in enumerate(extra) if kind in ALPHAS), None)
     return TiffImage(
         path=path,
         shape=(rows, columns),
         channels=page.samplesperpixel,
         dtype=dtype,
         is_palette=page.photometric == PALETTE,
-        is_map=any(code in tags for code in MAP_TAGS),
+        is_map=has_elevations(tags),
+        alpha=alpha,
         georeference=read_georeference(tags),
         segment_shape=(page.tilelength, page.tilewidth) if page.is_tiled else (min(page.rowsperstrip, rows), columns),
         is_tiled=page.is_tiled,
@@ -238,7 +282,8 @@ def _describe(path: Path, page: "TiffPage", file_size: int) -> TiffImage:
         offsets=offsets,
         byte_counts=byte_counts,
         file_size=file_size,
-        decode_other=None if is_supported else _find_decoder(page),
+        decode_other=None if is_plain and compression in MAX_RATIOS and has_predictor else _find_decoder(page),
+        page=page.index,
     )
 
 

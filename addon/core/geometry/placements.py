@@ -199,10 +199,10 @@ class GeographicFrame:
 Frame = ProjectedFrame | GeographicFrame
 
 
-def create_frame(path: Path, placement: Placement, shape: tuple[int, int]) -> tuple[Frame, float]:
+def create_frame(path: Path, placement: Placement, shape: tuple[int, int], scale: float = 1.0) -> tuple[Frame, float]:
     """Return the local frame of a grid with its origin near the center, and the nominal size of a cell in meters.
 
-    path: named in errors.
+    path: named in errors. scale: true meters per meter of a projection, around the origin.
 
     Raises:
         FileError: the grid extends beyond a pole, or over too many degrees of longitude.
@@ -211,7 +211,11 @@ def create_frame(path: Path, placement: Placement, shape: tuple[int, int]) -> tu
     width, depth = placement.step
     if not placement.is_geographic:
         origin = (float(round(center[0])), float(round(center[1])))
-        return ProjectedFrame(placement.first, placement.step, origin), math.sqrt(width * depth)
+        first, step = placement.first, placement.step
+        if scale != 1.0:
+            first = tuple(start + scale * (position - start) for position, start in zip(first, origin, strict=True))
+            step = (width * scale, depth * scale)
+        return ProjectedFrame(first, step, origin), math.sqrt(step[0] * step[1])
     north = placement.position(0.0, shape[0] - 1)[1]
     if max(-placement.first[1], north) > POLE:
         raise FileError(

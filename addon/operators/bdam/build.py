@@ -11,12 +11,12 @@ from ...bridge.imaging.images import read_gray_image
 from ...bridge.scene_paths import check_scene_outputs
 from ...core.bdam.building.store_target import check_target
 from ...core.bdam.building.terrain_build import BuildReport, build_terrain
-from ...core.bdam.fields.height_sources import OPENERS
 from ...core.bdam.fields.terrain_field import FieldSettings, TerrainField, open_field, warn_of_heights
 from ...core.bdam.settings import BdamSettings
 from ...core.errors import SettingsError
 from ...core.files.outputs import Input, Output
 from ...core.files.scratch import Scratch
+from ...core.heights.readers import OPENERS
 from ...core.jobs.progress import Progress, Steps
 from .. import long_work, properties, start_job
 from ..error_reports import reports_errors

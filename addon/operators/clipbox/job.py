@@ -73,7 +73,7 @@ class TerrainJob:
         cache.store(self.terrain, self.engine)
         self.update = core_result
         triangles = sum(len(mesh.triangles) for mesh in core_result.meshes.values())
-        return f'"{self.terrain.name}": {triangles:,} triangles in {settings.boxes} boxes.'
+        return " ".join([f'"{self.terrain.name}": {triangles:,} triangles in {settings.boxes} boxes.', *self.engine.warnings])
 
 
 def prepare(settings: ClipboxSettings, viewer: np.ndarray, terrain: SceneTerrain | None = None) -> TerrainJob:

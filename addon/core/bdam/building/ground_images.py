@@ -3,12 +3,9 @@
 GeoTIFF files are read by window from where they are. JPEG, PNG and WebP files cannot be: the parent process decodes them once into raw
 files in the work folder, which workers read by window without mapping them.
 
-The position of an image without tags may be in a world file with six lines of text (Esri, World files for raster datasets): A, D, B, E, C
-and F of x = A * column + B * row + C and y = D * column + E * row + F, at the centers of pixels counted from (0, 0) in the upper left
-corner. The coordinate reference system is not declared.
+The position of an image without tags may be in a world file (`heights.positions`), which does not declare the coordinate reference system.
 """
 
-import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,17 +17,16 @@ from ...errors import FileError, ImageError
 from ...files.atomic_write import TEMPORARY_SUFFIX
 from ...files.file_access import check_readable, convert_os_errors, error_reason
 from ...files.geotiff import GeoReference
-from ...files.height_maps import are_valid_sizes
 from ...files.segment_cache import SegmentCache
 from ...files.tiffs import TiffImage, open_tiff
-from ...geometry.placements import Placement, place_map
+from ...geometry.placements import Placement
+from ...heights.positions import Position, find_position
 from ...imaging.coded_images import read_coded_image, read_coded_shape
 from ..textures.resampling import PlacedImage
 from .height_grid import read_window
 from .tiff_colors import TiffColors, check_colors
 
 TIFF_EXTENSIONS, CODED_EXTENSIONS = (".tif", ".tiff"), (".jpg", ".jpeg", ".png", ".webp")
-MAX_WORLD_FILE_BYTES = 1024
 
 
 @dataclass(frozen=True)
@@ -118,11 +114,11 @@ def open_image(image: GroundImage, folder: Path, cache: SegmentCache) -> PlacedI
 def _place_image(path: Path, index: int, is_single: bool, field: Placement, shape: tuple[int, int]) -> GroundImage:
     check_readable(path)
     extension = path.suffix.lower()
-    reference, raw = None, None
+    reference, raw = GeoReference(), None
     if extension in TIFF_EXTENSIONS:
         tiff = _open_color_tiff(path)
         size = *tiff.shape, TiffColors.count_channels(tiff)
-        reference = tiff.georeference if tiff.georeference.affine is not None else None
+        reference = tiff.georeference
     elif extension in CODED_EXTENSIONS:
         raw = f"image-{index:04d}.raw"
         with _convert_image_errors(path):
@@ -130,11 +126,9 @@ def _place_image(path: Path, index: int, is_single: bool, field: Placement, shap
     else:
         endings = ", ".join((*TIFF_EXTENSIONS, *CODED_EXTENSIONS))
         raise FileError(f'"{path}" cannot be used as a texture; its name must end in one of {endings}.')
-    world_file = None if reference is not None else find_world_file(path)
-    if world_file is not None:
-        reference = GeoReference(affine=read_world_file(world_file))
-    if reference is not None:
-        corner, step = _place_on_map(path, reference, world_file is None, size[:2], field, shape)
+    position = find_position(path, reference, size[:2], 1.0)
+    if position.placement.is_placed:
+        corner, step = _place_on_map(path, position, reference.affine is not None, size[:2], field, shape)
     elif is_single:
         corner, step = (0.0, float(shape[0] - 1)), ((shape[1] - 1) / size[1], -(shape[0] - 1) / size[0])
     else:
@@ -145,13 +139,13 @@ def _place_image(path: Path, index: int, is_single: bool, field: Placement, shap
 
 
 def _place_on_map(
-    path: Path, reference: GeoReference, is_declared: bool, size: tuple[int, int], field: Placement, shape: tuple[int, int]
+    path: Path, position: Position, is_declared: bool, size: tuple[int, int], field: Placement, shape: tuple[int, int]
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the outer corner of the first pixel and the steps of an image in grid coordinates. is_declared: whether it has a coordinate
     reference system of its own."""
     if not field.is_placed:
         raise FileError(f'"{path}" has a position on a map but the elevation model has none; use an elevation model with a position.')
-    placement, is_south_up = place_map(path, reference, size, 1.0)
+    placement = position.placement
     if is_declared and placement.has_other_crs(field):
         raise FileError(
             f'"{path}" and the elevation model have different projections ({placement.crs} and {field.crs}); warp the image to that of '
@@ -166,7 +160,7 @@ def _place_on_map(
     counts, ends = (size[1], size[0]), (shape[1] - 1, shape[0] - 1)
     if not all(corner[axis] < ends[axis] and corner[axis] + scale[axis] * counts[axis] > 0.0 for axis in range(2)):
         raise FileError(f'"{path}" lies outside of the elevation model; check its position, or leave it out.')
-    if is_south_up:
+    if position.is_south_up:
         return corner, scale
     return (corner[0], corner[1] + scale[1] * size[0]), (scale[0], -scale[1])
 
@@ -186,33 +180,3 @@ def _convert_image_errors(path: Path) -> Iterator[None]:
         raise FileError(f'"{path}" cannot be used as a texture: {error}') from error
     except OSError as error:
         raise FileError(f'"{path}" cannot be read: {error_reason(error)}.') from error
-
-
-def find_world_file(image: Path) -> Path | None:
-    """Return the world file of an image, None if there is none: the first and last letter of its file name extension with a w, the whole
-    extension with a w, or .wld."""
-    letters = image.suffix[1:]
-    if not letters:
-        return None
-    names = (f"{letters[0]}{letters[-1]}w", f"{letters}w", "wld")
-    candidates = (image.with_suffix(f".{name}") for ending in names for name in (ending, ending.lower(), ending.upper()))
-    return next((path for path in candidates if path.is_file()), None)
-
-
-def read_world_file(path: Path) -> tuple[float, float, float, float, float, float]:
-    """Return (a, b, c, d, e, f) of a world file in the order of `GeoReference.affine`: x = a * column + b * row + c, y = d * column +
-    e * row + f.
-
-    Raises:
-        FileError: it cannot be read, or does not contain six numbers.
-    """
-    with convert_os_errors(f'"{path}" cannot be read'), path.open("rb") as file:
-        words = file.read(MAX_WORLD_FILE_BYTES).replace(b",", b".").split()
-    try:
-        a, d, b, e, c, f = (float(word) for word in words[:6])
-    except ValueError as error:
-        raise FileError(f'"{path}" is no world file: it must contain six numbers, one per line.') from error
-    is_valid = all(math.isfinite(number) for number in (a, b, c, d, e, f))
-    if not is_valid or not are_valid_sizes((math.hypot(a, d), math.hypot(b, e))):
-        raise FileError(f'"{path}" is no world file: its pixels have no size; export it again.')
-    return a, b, c, d, e, f

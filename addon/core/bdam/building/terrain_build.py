@@ -17,6 +17,7 @@ from ...jobs.heartbeat import take_over
 from ...jobs.job_folder import open_job_folder, remove_temporary_files
 from ...jobs.progress import Progress, StageClock, Steps, subprogress
 from ...jobs.task_pool import TaskPool, open_task_pool
+from ...messages import format_bytes
 from ..fields.terrain_field import TerrainField
 from ..settings import BdamSettings
 from ..store.structure import Level, StoreHeader
@@ -270,7 +271,7 @@ def _check_free_space(out: Path, needed: int, work_folder: Path) -> None:
         kept = folder_bytes(work_folder) if work_folder.is_dir() else 0
     if needed - kept > free:
         raise FileError(
-            f'The disk of "{place}" has {free / 1e9:,.2f} GB left, and the build needs about {max(needed - kept, 0) / 1e9:,.2f} GB there; '
+            f'The disk of "{place}" has {format_bytes(free)} left, and the build needs about {format_bytes(needed - kept)} there; '
             "free some space, or choose another disk."
         )
 

@@ -47,17 +47,20 @@ class TiffColors:
 
     @staticmethod
     def count_channels(tiff: TiffImage) -> int:
-        """Return 3 for opaque images, 4 for those with alpha or a number for "no data"."""
-        return 4 if tiff.channels in (2, 4) or tiff.georeference.no_data is not None else 3
+        """Return 3 for opaque images, 4 for those with alpha, a mask or a number for "no data"."""
+        return 4 if tiff.channels in (2, 4) or tiff.mask is not None or tiff.georeference.no_data is not None else 3
 
     def read(self, rows: slice, columns: slice) -> np.ndarray:
         """Return a window (h, w, 3 or 4): uint8, sRGB-encoded, or float32, scene-linear. Raises FileError."""
         values = self._tiff.read(rows, columns, self._cache)
         has_alpha = values.shape[2] in (2, 4)
         colors, alpha = (values[..., :-1], values[..., -1:]) if has_alpha else (values, None)
-        is_known = (
-            None if self._tiff.georeference.no_data is None else (colors != self._tiff.georeference.no_data).any(axis=2, keepdims=True)
-        )
+        is_known = None
+        if self._tiff.georeference.no_data is not None:
+            is_known = (colors != self._tiff.georeference.no_data).any(axis=2, keepdims=True)
+        if self._tiff.mask is not None:
+            is_valid = self._tiff.mask.read(rows, columns, self._cache) != 0
+            is_known = is_valid if is_known is None else is_known & is_valid
         opaque = 1
         if values.dtype == np.uint8:
             opaque = 255

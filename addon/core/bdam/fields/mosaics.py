@@ -6,9 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...errors import FileError, SettingsError
+from ...files.height_maps import MAX_SAMPLES
 from ...geometry.placements import Placement
-from .height_sources import MAX_SAMPLES, HeightSource
+from ...heights.sources import HeightSource
 
+MIN_SAMPLES = 2  # along each side
+MAX_OFFSET = 1e11  # cells from the world's zero to the field; beyond, float64 has less than five decimals of a cell
 MAX_DRIFT = 0.05  # cells by which samples of a file may differ from the common grid; headers have rounded numbers
 
 
@@ -64,6 +67,18 @@ class Mosaic:
                 rows, columns = (slice(int(start), int(stop)) for start, stop in zip(low[other], high[other], strict=True))
                 edges.append((index, index + 1 + int(other), (rows, columns)))
         return edges
+
+
+def check_source(source: HeightSource) -> HeightSource:
+    """Return a source. Raises FileError if it has too few or too many samples, or its position is too far away."""
+    path, (rows, columns) = source.path, source.shape
+    if min(source.shape) < MIN_SAMPLES:
+        raise FileError(f'"{path}" has {columns} by {rows} heights; terrain needs at least {MIN_SAMPLES} along each side.')
+    if max(source.shape) > MAX_SAMPLES:
+        raise FileError(f'"{path}" has {columns:,} by {rows:,} heights; the maximum is {MAX_SAMPLES:,} along each side.')
+    if not all(abs(first) < MAX_OFFSET * step for first, step in zip(source.placement.first, source.placement.step, strict=True)):
+        raise FileError(f'"{path}" has its corner at {source.placement.first}, too far away for its cells; correct its position.')
+    return source
 
 
 def join(sources: Sequence[HeightSource], allow_gaps: bool) -> Mosaic:

@@ -10,9 +10,12 @@ from ...errors import FileError, SettingsError
 from ...files.file_access import check_readable
 from ...files.segment_cache import DEFAULT_CACHE_BYTES, SegmentCache
 from ...geometry.placements import Frame, Placement, create_frame
+from ...heights.positions import center_scale, warn_of_stretch
+from ...heights.readers import open_source
+from ...heights.sources import HeightSource, ReadImage, SourceContext
+from ...heights.voids import Void, find_voids, mask_voids, name_voids
 from ...messages import format_count
-from .height_sources import HeightSource, ReadImage, SourceContext, open_source
-from .mosaics import Mosaic, join
+from .mosaics import Mosaic, check_source, join
 
 CHECK_SAMPLES = 1 << 22  # heights that are read at once when all are checked
 
@@ -100,10 +103,11 @@ def open_field(
     sources = []
     for path in paths:
         check_readable(path)
-        sources.append(open_source(path, context))
+        sources.append(check_source(open_source(path, context)))
     mosaic = join(sources, settings.allow_gaps)
-    frame, cell_size = create_frame(paths[0], mosaic.placement, mosaic.shape)
+    frame, cell_size = create_frame(paths[0], mosaic.placement, mosaic.shape, center_scale(mosaic.placement, mosaic.shape))
     warnings = [warning for source in sources for warning in source.warnings]
+    warnings += warn_of_stretch(paths[0], mosaic.placement, mosaic.shape)
     if not mosaic.placement.is_placed:
         warnings.append(f'"{paths[0]}" has no position on a map; its cells are taken as {settings.cell_size:g} m wide (Cell Size).')
     return TerrainField(mosaic, frame, cell_size, _common_step(sources), tuple(warnings))
@@ -117,7 +121,7 @@ def check_heights(terrain: TerrainField) -> tuple[str, ...]:
     Raises:
         FileError: no height is known, or a file is damaged.
     """
-    if not any(np.isfinite(heights).any() for heights in _read_all(terrain)):
+    if not any(np.isfinite(heights).any() for source in terrain.mosaic.sources for heights in _read_all(source)):
         names = ", ".join(f'"{source.path}"' for source in terrain.mosaic.sources[:3])
         raise FileError(f"{names} contains no known height: all are marked as missing; use another file.")
     differing = 0
@@ -130,16 +134,29 @@ def check_heights(terrain: TerrainField) -> tuple[str, ...]:
 
 
 def warn_of_heights(terrain: TerrainField) -> TerrainField:
-    """Return the field with the warnings of `check_heights` too. Raises FileError."""
-    return replace(terrain, warnings=(*terrain.warnings, *check_heights(terrain)))
+    """Return the field with undeclared numbers for unknown heights as holes, with warnings of them and of `check_heights`.
+
+    Files that do not declare such a number are read once. Raises FileError.
+    """
+    found = [_find_undeclared(source) for source in terrain.mosaic.sources]
+    sources = tuple(_mask(source, voids) for source, voids in zip(terrain.mosaic.sources, found, strict=True))
+    named = (name for source, voids in zip(sources, found, strict=True) for name in name_voids(source.path, voids))
+    terrain = replace(terrain, mosaic=replace(terrain.mosaic, sources=sources))
+    return replace(terrain, warnings=(*terrain.warnings, *named, *check_heights(terrain)))
 
 
-def _read_all(terrain: TerrainField) -> Iterator[np.ndarray]:
-    """Yield the heights of the files in strips."""
-    for source in terrain.mosaic.sources:
-        step = max(1, CHECK_SAMPLES // source.shape[1])
-        for start in range(0, source.shape[0], step):
-            yield source.read(slice(start, min(start + step, source.shape[0])), slice(0, source.shape[1]))
+def _find_undeclared(source: HeightSource) -> list[Void]:
+    return find_voids(_read_all(source), source.void_heights, source.scale) if source.void_heights else []
+
+
+def _mask(source: HeightSource, voids: list[Void]) -> HeightSource:
+    """Return a source whose heights that mean "unknown" are holes."""
+    return replace(source, read=lambda rows, columns: mask_voids(source.read(rows, columns), voids)) if voids else source
+
+
+def _read_all(source: HeightSource) -> Iterator[np.ndarray]:
+    """Yield the heights of a file in strips."""
+    return (source.read(rows, slice(0, source.shape[1])) for rows in source.bands(CHECK_SAMPLES))
 
 
 def _read_part(mosaic: Mosaic, index: int, rows: slice, columns: slice) -> np.ndarray:

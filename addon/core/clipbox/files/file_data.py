@@ -12,14 +12,14 @@ from ...jobs.chunks import slices
 class HeightMap:
     """A height map.
 
-    heights: (H, W) numbers, row 0 in the south (-y). pixel_size: width (along x) and depth (along y) of a pixel in the unit of the heights,
-    which are elevations; None where the heights are the gray values of an image, 0 for black and 1 for white. no_data: the number that the
-    file declares for unknown heights.
+    heights: (H, W) float32, row 0 in the south (-y), NaN where unknown. pixel_size: width (along x) and depth (along y) of a pixel in the
+    unit of the heights, which are elevations; None where the heights are the gray values of an image, 0 for black and 1 for white.
+    warnings: sentences for the user.
     """
 
     heights: np.ndarray
     pixel_size: tuple[float, float] | None = None
-    no_data: float | None = None
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Readers of terrain files, selected by file name extension. TIFF files may have GeoTIFF tags (OGC 19-008r4)."""
+"""Readers of terrain files, selected by file name extension."""
 
 import math
 import re
@@ -10,17 +10,18 @@ import numpy as np
 from ...errors import FileError, SettingsError
 from ...files.array_files import map_array
 from ...files.file_access import check_readable, check_unicode
-from ...files.geotiff import GEOGRAPHIC, GeoReference
-from ...files.height_maps import HEIGHT_BYTES, are_valid_sizes, check_size, to_native_byte_order
-from ...files.tiffs import TiffImage, open_tiff
+from ...files.height_maps import CHUNK_SAMPLES, HEIGHT_BYTES, MAX_BYTES, check_size, to_native_byte_order
+from ...files.segment_cache import SegmentCache
+from ...heights.positions import ground_spacing, warn_of_stretch
+from ...heights.readers import open_source
+from ...heights.sources import ReadImage, SourceContext
+from ...heights.voids import find_voids, mask_voids, name_voids
 from .file_data import FileData, HeightMap, Voxels
 from .nifti import read_nifti
 
 Readers = Mapping[str, Callable[[Path], FileData]]  # by lower-case extension
 BLEND_PREFIX = "//"  # start of paths relative to the folder of the .blend file
 RAW_NAME = re.compile(r"(?:^|_)(\d+)x(\d+)x(\d+)_(u?int(?:8|16|32)|float(?:32|64))$")
-METERS_PER_DEGREE = 111_320.0  # along the equator, and about that along a meridian
-MAX_LATITUDE = math.radians(89.9)  # closer to a pole, a degree of longitude has almost no length
 
 
 def read_array(path: Path) -> FileData:
@@ -32,11 +33,12 @@ def read_array(path: Path) -> FileData:
         FileError: it is neither.
     """
     mapped = map_array(path)
-    if mapped.ndim not in (2, 3):
+    if mapped.ndim == 2:
+        return read_heights(path)
+    if mapped.ndim != 3:
         raise FileError(f'"{path}" contains an array with {mapped.ndim} axes; heights have 2, voxels 3.')
     check_size(path, mapped.size, max(mapped.dtype.itemsize, HEIGHT_BYTES if mapped.dtype.kind == "f" else 1))
-    values = to_native_byte_order(path, np.array(mapped))
-    return Voxels(values) if values.ndim == 3 else HeightMap(values[::-1], (1.0, 1.0))
+    return Voxels(to_native_byte_order(path, np.array(mapped)))
 
 
 def read_raw(path: Path) -> Voxels:
@@ -58,53 +60,31 @@ def read_raw(path: Path) -> Voxels:
     return Voxels(to_native_byte_order(path, np.fromfile(path, dtype)).reshape(shape, order="F"))
 
 
-def read_tiff(path: Path) -> HeightMap:
-    """Read the first image of a TIFF file.
-
-    Unsigned integers without any GeoTIFF tag are gray values, 0 to 1; of color images the mean of the first three channels is used. All
-    other samples are elevations, in meters unless a tag gives a unit. A pixel without a scale is as wide as one unit of height.
+def read_heights(path: Path, read_image: ReadImage | None = None) -> HeightMap:
+    """Read a whole elevation model or image; the mean of colors is its height. read_image: as in `SourceContext`.
 
     Raises:
-        FileError: it is not a TIFF file, is truncated, or has an unsupported compression.
+        FileError: it is none, is damaged, or does not fit into memory.
     """
-    tiff = open_tiff(path)
-    check_size(path, math.prod(tiff.shape) * tiff.channels, tiff.dtype.itemsize)
-    check_size(path, math.prod(tiff.shape), HEIGHT_BYTES)
-    tiff.check_complete()
-    samples = tiff.read(slice(0, tiff.shape[0]), slice(0, tiff.shape[1]))
-    with np.errstate(all="ignore"):  # Damaged floats become missing heights.
-        return _to_height_map(tiff, samples)
-
-
-def _to_height_map(tiff: TiffImage, samples: np.ndarray) -> HeightMap:
-    image = samples[:, :, 0] if tiff.channels < 3 else samples[:, :, :3].mean(axis=2, dtype=np.float32)
-    if samples.dtype.kind in "bu" and not tiff.is_map:
-        white = 1.0 if samples.dtype == bool else float(np.iinfo(samples.dtype).max)
-        gray = np.empty(image.shape, np.float32)
-        np.divide(image, np.float32(white), out=gray, casting="same_kind")
-        return HeightMap(gray[::-1])
-    return HeightMap(image[::-1], _pixel_size(tiff.georeference, tiff.shape[0]), tiff.georeference.no_data)
-
-
-def _pixel_size(reference: GeoReference, rows: int) -> tuple[float, float]:
-    """Return the width and depth of a pixel, in the unit of its heights."""
-    if reference.affine is None:
-        return 1.0, 1.0
-    a, b, _, d, e, y = reference.affine
-    unit = (reference.horizontal_unit or 1.0) / reference.vertical_unit
-    width, depth = math.hypot(a, d) * unit, math.hypot(b, e) * unit
-    if reference.model_type == GEOGRAPHIC:
-        latitude = math.radians((y + (rows - 1) / 2.0 * e) * (reference.horizontal_unit or 1.0))
-        latitude = min(max(latitude, -MAX_LATITUDE), MAX_LATITUDE)
-        width, depth = width * METERS_PER_DEGREE * math.cos(latitude), depth * METERS_PER_DEGREE
-    return (width, depth) if are_valid_sizes((width, depth)) else (1.0, 1.0)
+    context = SourceContext(1.0, 1.0, read_image, SegmentCache(), accepts_colors=True, max_segment_bytes=MAX_BYTES)
+    source = open_source(path, context)
+    check_size(path, math.prod(source.shape), HEIGHT_BYTES)
+    heights = np.empty(source.shape, np.float32)
+    for rows in source.bands(CHUNK_SAMPLES):
+        heights[rows] = source.read(rows, slice(0, source.shape[1]))
+    bands = [heights[rows] for rows in source.bands(CHUNK_SAMPLES)]
+    voids = find_voids(bands, source.void_heights, source.scale)
+    for band in bands:
+        mask_voids(band, voids)
+    stretch = () if source.is_gray else warn_of_stretch(path, source.placement, source.shape)
+    pixel_size = None if source.is_gray else ground_spacing(source.placement, source.shape)
+    return HeightMap(heights, pixel_size, (*source.warnings, *stretch, *name_voids(path, voids)))
 
 
 READERS: Readers = {
     ".npy": read_array,
     ".raw": read_raw,
-    ".tif": read_tiff,
-    ".tiff": read_tiff,
+    **dict.fromkeys((".asc", ".hgt", ".tif", ".tiff"), read_heights),
     ".nii": read_nifti,
     ".nii.gz": read_nifti,
 }  # without Blender; `bridge.clipbox.sources` has those that need it

@@ -36,6 +36,11 @@ class Sampler:
     name: str
     function: DensityFunction
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences for the user about the file that the function has read."""
+        return getattr(self.function, "warnings", ())
+
     def signs(self, grid: Grid, repair: bool) -> np.ndarray:
         """Return 1 for solid voxels and -1 for air, (X, Y, Z) int8. `repair` prepares the voxels for smoothing.
 

@@ -6,22 +6,50 @@ z = 0, and one meter of height is as long as one meter along the ground.
 """
 
 import math
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 
 from ...errors import FileError
-from ...files.height_maps import CHUNK_SAMPLES, HEIGHT_BYTES, check_size, find_missing
+from ...files.height_maps import CHUNK_SAMPLES
 from ...jobs.chunks import slices
 from ..files.file_data import HeightMap
 from ..files.readers import Readers, read_source
 from ..settings import ClipboxSettings
-from .grids import DensityFunction, Grid
+from .grids import Grid
 from .pyramids import build_pyramid, interpolate_axis, locate_samples, pyramid_level
 
 
-def build_heights(source: ClipboxSettings, readers: Readers) -> DensityFunction:
-    """Return densities as the height of the ground minus z, in scene units. Heights are bilinear between pixel centers.
+@dataclass(frozen=True, eq=False)
+class GroundDensity:
+    """Densities as the height of the ground minus z, in scene units. Heights are bilinear between pixel centers.
+
+    Attributes:
+        levels: mean pyramid of the heights, (W, H) float32 each, indexed by x and y.
+        width, depth: sides of a pixel of level 0.
+        warnings: sentences for the user.
+    """
+
+    levels: list[np.ndarray]
+    width: float
+    depth: float
+    warnings: tuple[str, ...] = ()
+
+    def __call__(self, grid: Grid) -> np.ndarray:
+        """Return the densities (X, Y, Z) float32 of a grid."""
+        columns, rows = self.levels[0].shape
+        level_index = pyramid_level(grid.voxel_size, math.sqrt(self.width * self.depth), len(self.levels))
+        level, factor = self.levels[level_index], 2.0**level_index
+        along_x = locate_samples((grid.coordinates_along(0) / self.width + columns / 2.0) / factor, 0, level.shape[0] - 1)
+        along_y = locate_samples((grid.coordinates_along(1) / self.depth + rows / 2.0) / factor, 0, level.shape[1] - 1)
+        samples = level[along_x.start : along_x.stop, along_y.start : along_y.stop].astype(np.float64)
+        heights = interpolate_axis(interpolate_axis(samples, along_y, 1), along_x, 0)
+        values = np.empty(grid.shape, np.float32)
+        return np.subtract(heights[:, :, None], grid.coordinates_along(2), out=values, dtype=np.float64, casting="same_kind")
+
+
+def build_heights(source: ClipboxSettings, readers: Readers) -> GroundDensity:
+    """Return the densities of the height map in the source file.
 
     Raises:
         SettingsError, FileError: there is no file, or it has no heights.
@@ -29,41 +57,25 @@ def build_heights(source: ClipboxSettings, readers: Readers) -> DensityFunction:
     height_map = read_source(source.terrain, source.source, readers)
     if not isinstance(height_map, HeightMap):
         raise FileError(f'"{source.source}" contains voxels, not heights; use the terrain "volume" for it.')
+    warnings = height_map.warnings
     ground, (width, depth) = _scale_to_scene(height_map, source)
     del height_map  # a map may fill half of the memory
-    levels = build_pyramid(ground, None)
-    columns, rows = ground.shape
-
-    def densities(grid: Grid) -> np.ndarray:
-        level_index = pyramid_level(grid.voxel_size, math.sqrt(width * depth), len(levels))
-        level, factor = levels[level_index], 2.0**level_index
-        along_x = locate_samples((grid.coordinates_along(0) / width + columns / 2.0) / factor, 0, level.shape[0] - 1)
-        along_y = locate_samples((grid.coordinates_along(1) / depth + rows / 2.0) / factor, 0, level.shape[1] - 1)
-        samples = level[along_x.start : along_x.stop, along_y.start : along_y.stop].astype(np.float64)
-        heights = interpolate_axis(interpolate_axis(samples, along_y, 1), along_x, 0)
-        values = np.empty(grid.shape, np.float32)
-        return np.subtract(heights[:, :, None], grid.coordinates_along(2), out=values, dtype=np.float64, casting="same_kind")
-
-    return densities
+    return GroundDensity(build_pyramid(ground, None), width, depth, warnings)
 
 
 def _scale_to_scene(height_map: HeightMap, source: ClipboxSettings) -> tuple[np.ndarray, tuple[float, float]]:
     """Return heights (W, H) float32 indexed by x and y, and the width and depth of a pixel, all in scene units."""
     values, size = height_map.heights.T, source.source_size * source.scale
-    check_size(Path(source.source), values.size, HEIGHT_BYTES)
     width, depth = height_map.pixel_size or (1.0, 1.0)
     unit = size / max(values.shape[0] * width, values.shape[1] * depth)
-    columns = slices(len(values), max(1, CHUNK_SAMPLES // values.shape[1]))
-    smallest = [float(known.min()) for chunk in columns if (known := values[chunk][~find_missing(values[chunk], height_map.no_data)]).size]
-    if not smallest:
+    lowest = float(np.fmin.reduce(height_map.heights, axis=None))
+    if math.isnan(lowest):
         raise FileError(f'"{source.source}" contains no valid height.')
-    lowest = min(smallest)
     base, factor = (0.0, source.source_height * source.scale) if height_map.pixel_size is None else (lowest, unit)
     ground = np.empty(values.shape, np.float32)
-    for chunk in columns:
+    for chunk in slices(len(values), max(1, CHUNK_SAMPLES // values.shape[1])):
         heights = ground[chunk]
-        with np.errstate(over="ignore", invalid="ignore"):  # Missing heights are replaced below.
-            np.subtract(values[chunk], base, out=heights, dtype=np.float64, casting="same_kind")
-            heights *= np.float32(factor)
-        heights[find_missing(values[chunk], height_map.no_data)] = (lowest - base) * factor
+        np.subtract(values[chunk], base, out=heights, dtype=np.float64, casting="same_kind")
+        heights *= np.float32(factor)
+        heights[np.isnan(values[chunk])] = (lowest - base) * factor
     return ground, (width * unit, depth * unit)

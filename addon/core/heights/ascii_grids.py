@@ -3,6 +3,7 @@
 One pass over the file notes where every row begins; the rows of a window are parsed when they are read.
 """
 
+import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,20 +11,24 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import FileError
+from ..files.file_access import error_reason
+from ..files.height_maps import MAX_SAMPLES, are_valid_sizes
+from ..files.segment_cache import SegmentCache
+from ..geometry.coordinate_systems import seem_degrees
 from ..geometry.placements import Placement
-from .file_access import error_reason
-from .height_maps import are_valid_sizes
-from .segment_cache import SegmentCache
+from .positions import read_projection
 
 MAX_HEADER_BYTES = 4096
 BLOCK_BYTES = 4 << 20  # bytes of the file that are searched at once
 BLOCK_SAMPLES = 1 << 18  # samples that are parsed at once and kept in the cache
 DEFAULT_NO_DATA = -9999.0  # the format's number, where the header has none
 SIZE_KEYS = {"ncols", "nrows"}
+ALIASES = {"nodata": "nodata_value", "xcellsize": "dx", "xdim": "dx", "ycellsize": "dy", "ydim": "dy", "columns": "ncols", "rows": "nrows"}
 KEYS = SIZE_KEYS | {"xllcorner", "xllcenter", "yllcorner", "yllcenter", "cellsize", "dx", "dy", "nodata_value"}
-MAX_DEGREE_CELL = 0.2  # cells of degrees are smaller, those of meters wider
-WKT_UNIT = re.compile(r'UNIT\s*\[\s*"[^"]*"\s*,\s*([0-9.eE+-]+)')  # the last one of a projection is that of its coordinates
-MAX_WKT_BYTES = 1 << 16
+HEADER_LINE = re.compile(rb"\s*([A-Za-z_][A-Za-z0-9_]*)[ \t]*[ \t:=][ \t]*([^\r\n]*?)[ \t]*(?:\r\n?|\n)")
+NOT_KEYS = {"nan", "inf", "infinity"}  # words of heights
+BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+MAX_NUMBER_BYTES = 64  # mean length of a height and the space after it
 BAD_NUMBERS = '"{path}" contains something other than numbers in its rows of heights; save it again with decimal points.'
 
 
@@ -53,24 +58,39 @@ class AsciiGrid:
         Raises:
             FileError: there is something other than numbers, or the file has changed.
         """
-        step = max(1, BLOCK_SAMPLES // self.shape[1])
-        parts = []
+        step, parts = self.block_rows, []
         for block in range(rows.start // step, -(-rows.stop // step)):
             start, stop = block * step, min((block + 1) * step, self.shape[0])
             values = cache.get((self.path, block), lambda start=start, stop=stop: self._parse(start, stop))
             parts.append(values[max(rows.start - start, 0) : min(rows.stop, stop) - start, columns])
         return np.concatenate(parts) if parts else np.empty((0, columns.stop - columns.start))
 
+    @property
+    def block_rows(self) -> int:
+        """Rows that are parsed together."""
+        return max(1, BLOCK_SAMPLES // self.shape[1])
+
     def _parse(self, start: int, stop: int) -> np.ndarray:
+        size = int(self.row_offsets[stop] - self.row_offsets[start])
         try:
+            if size > MAX_NUMBER_BYTES * ((stop - start) * self.shape[1] + 1):
+                raise ValueError("the numbers are too long")
             with self.path.open("rb") as file:
                 file.seek(int(self.row_offsets[start]))
-                text = file.read(int(self.row_offsets[stop] - self.row_offsets[start]))
-            return np.array(text.split(), np.float64).reshape(stop - start, self.shape[1])
+                text = file.read(size)
+            return _parse_numbers(text).reshape(stop - start, self.shape[1])
         except ValueError as error:
             raise FileError(BAD_NUMBERS.format(path=self.path)) from error
         except OSError as error:
             raise FileError(f'"{self.path}" cannot be read: {error_reason(error)}.') from error
+
+
+def _parse_numbers(text: bytes) -> np.ndarray:
+    """Return numbers (N,) float64, which may have decimal commas or be asterisks for unknown heights. Raises ValueError."""
+    try:
+        return np.array(text.split(), np.float64)
+    except ValueError:
+        return np.array(text.replace(b",", b".").replace(b"*", b"nan").split(), np.float64)
 
 
 def open_ascii_grid(path: Path) -> AsciiGrid:
@@ -84,26 +104,28 @@ def open_ascii_grid(path: Path) -> AsciiGrid:
     size = path.stat().st_size
     if rows <= 0 or columns <= 0 or 2 * rows * columns > size - start + 1:
         raise FileError(f'"{path}" cannot contain {columns:,} by {rows:,} heights in {size:,} bytes; it is truncated, so copy it again.')
+    if max(rows, columns) > MAX_SAMPLES:
+        raise FileError(f'"{path}" has {columns:,} by {rows:,} heights; the maximum is {MAX_SAMPLES:,} along each side.')
     placement, warnings = _place(path, header)
     row_offsets = _find_rows(path, start, rows, columns)
     return AsciiGrid(path, (rows, columns), placement, header.get("nodata_value", DEFAULT_NO_DATA), row_offsets, warnings)
 
 
 def _read_header(path: Path) -> tuple[dict[str, float], int]:
-    """Return the numbers of the header by lower-case keys, and the byte where the heights begin."""
+    """Return the numbers of the header by lower-case keys, and the byte where the heights begin. Keys that are unknown are skipped."""
     with path.open("rb") as file:
         text = file.read(MAX_HEADER_BYTES)
     header: dict[str, float] = {}
-    position = 0
-    for match in re.finditer(rb"\s*([A-Za-z_]+)[ \t]+(\S+)[ \t]*(?:\r\n?|\n)", text):
-        key = match[1].decode("ascii").lower()
-        if match.start() != position or key not in KEYS:
-            break
+    position = len(BYTE_ORDER_MARK) if text.startswith(BYTE_ORDER_MARK) else 0
+    while (match := HEADER_LINE.match(text, position)) and (key := match[1].decode("ascii").lower()) not in NOT_KEYS:
+        key, position = ALIASES.get(key, key), match.end()
         try:
-            header[key] = float(match[2])
+            if key in KEYS:
+                header[key] = float(match[2].replace(b",", b"."))
         except ValueError as error:
-            raise FileError(f'"{path}" has a header with a wrong number for "{key}"; save it again.') from error
-        position = match.end()
+            if key != "nodata_value":
+                raise FileError(f'"{path}" has a header with a wrong number for "{key}"; save it again.') from error
+            header[key] = math.nan  # GRASS writes an asterisk there, and among the heights too
     is_complete = header.keys() >= SIZE_KEYS and ("cellsize" in header or {"dx", "dy"} <= header.keys())
     if not is_complete or not all(header[key] == int(header[key]) for key in SIZE_KEYS if abs(header[key]) < 2**53):
         raise FileError(f'"{path}" is no Arc ASCII grid: its header lacks ncols, nrows or cellsize.')
@@ -118,30 +140,14 @@ def _place(path: Path, header: dict[str, float]) -> tuple[Placement, tuple[str, 
         raise FileError(f'"{path}" has cells of size {step[0]:g}; the size must be positive.')
     first = tuple(header.get(f"{axis}llcenter", header.get(f"{axis}llcorner", 0.0) + 0.5 * step[index]) for index, axis in enumerate("xy"))
     is_placed = "xllcorner" in header or "xllcenter" in header
-    unit, is_geographic = _read_projection(path)
-    warnings = ()
-    if unit is None:
-        unit, is_geographic = 1.0, is_placed and max(step) < MAX_DEGREE_CELL and abs(first[0]) <= 360.0 and abs(first[1]) <= 90.0
+    projection, warnings = read_projection(path), ()
+    if projection is not None:
+        unit, is_geographic, code = projection.unit, projection.is_geographic, projection.code
+    else:
+        unit, is_geographic, code = 1.0, is_placed and seem_degrees(first, step), None
         if is_geographic:
             warnings = (f'"{path}" has no .prj file; its cells are so small that its coordinates are taken as degrees.',)
-    return Placement((first[0] * unit, first[1] * unit), (step[0] * unit, step[1] * unit), is_geographic, None, is_placed), warnings
-
-
-def _read_projection(path: Path) -> tuple[float | None, bool]:
-    """Return meters per unit of the coordinates and whether they are degrees, from a .prj file in WKT; None if there is none."""
-    projection = next((found for found in (path.with_suffix(".prj"), path.with_suffix(".PRJ")) if found.is_file()), None)
-    if projection is None:
-        return None, False
-    with projection.open("rb") as file:
-        text = file.read(MAX_WKT_BYTES).decode("utf-8", "replace").strip()
-    if text.upper().startswith(("GEOGCS", "GEOGCRS", "GEODCRS")):
-        return 1.0, True
-    units = WKT_UNIT.findall(text) if text.upper().startswith(("PROJCS", "PROJCRS", "COMPD_CS")) else []
-    try:
-        unit = float(units[-1]) if units else None
-    except ValueError:
-        return None, False
-    return (unit, False) if unit is not None and are_valid_sizes((unit,)) else (None, False)
+    return Placement((first[0] * unit, first[1] * unit), (step[0] * unit, step[1] * unit), is_geographic, code, is_placed), warnings
 
 
 def _find_rows(path: Path, start: int, rows: int, columns: int) -> np.ndarray:
@@ -156,7 +162,8 @@ def _find_rows(path: Path, start: int, rows: int, columns: int) -> np.ndarray:
             begins[1:] &= ~is_text[:-1]
             begins[0] &= follows_space
             words = np.flatnonzero(begins)
-            offsets.append(position + words[-count % columns :: columns])
+            if count < rows * columns:
+                offsets.append(position + words[-count % columns :: columns])
             count, follows_space, position = count + len(words), not is_text[-1], position + len(block)
     if count != rows * columns:
         advice = "it is truncated, so copy it again" if count < rows * columns else "save it again"

@@ -1,0 +1,1 @@
+"""Elevation models: files of heights by window, with their position on the ground."""
