@@ -103,11 +103,12 @@ def write_tiff(
     big: bool = False,
     tags: Mapping[int, tuple] = (),
     empty: tuple[int, ...] = (),
+    mask: np.ndarray | None = None,
 ) -> Path:
     """Write an image (H, W) or (H, W, C).
 
     tile: rows and columns of tiles, None for strips. big: as BigTIFF. tags: further ones, (type, values) or text by number. empty: indices
-    of segments that are not stored.
+    of segments that are not stored. mask: (H, W) bool, a second image with single bits, in one strip.
     """
     image = values.reshape(*values.shape[:2], -1)
     rows, columns, channels = image.shape
@@ -139,8 +140,20 @@ def write_tiff(
         **dict(tags),
     }
     content = b"".join(segments)
-    path.write_bytes(_header(order, big, header + len(content)) + content + _directory(entries, order, big, header + len(content)))
+    start = header + len(content)
+    directory = _directory(entries, order, big, start)
+    if mask is not None:
+        bits = COMPRESSORS[compression](np.packbits(mask, axis=1).tobytes())
+        second = start + len(directory) + len(bits)
+        directory = _directory(entries, order, big, start, second) + bits
+        directory += _directory(_mask_entries(mask, compression, second - len(bits), len(bits)), order, big, second)
+    path.write_bytes(_header(order, big, start) + content + directory)
     return path
+
+
+def _mask_entries(mask: np.ndarray, compression: str, offset: int, size: int) -> dict[int, tuple]:
+    numbers = {254: 4, 256: mask.shape[1], 257: mask.shape[0], 258: 1, 262: 4, 277: 1, 278: mask.shape[0], 273: offset, 279: size}
+    return {259: (3, (COMPRESSIONS[compression],)), **{code: (4, (number,)) for code, number in numbers.items()}}
 
 
 def map_tags(
@@ -156,7 +169,7 @@ def _header(order: str, big: bool, directory: int) -> bytes:
     return mark + (struct.pack(f"{order}3HQ", 43, 8, 0, directory) if big else struct.pack(f"{order}HI", 42, directory))
 
 
-def _directory(entries: dict[int, tuple], order: str, big: bool, start: int) -> bytes:
+def _directory(entries: dict[int, tuple], order: str, big: bool, start: int, following: int = 0) -> bytes:
     word, inline = ("Q", 8) if big else ("I", 4)
     size = struct.calcsize(f"{order}{'Q' if big else 'H'}") + len(entries) * (4 + 2 * inline) + inline
     table, extra = struct.pack(f"{order}{'Q' if big else 'H'}", len(entries)), b""
@@ -169,4 +182,4 @@ def _directory(entries: dict[int, tuple], order: str, big: bool, start: int) -> 
         else:
             table += struct.pack(f"{order}{word}", start + size + len(extra))
             extra += data + b"\0" * (len(data) % 2)
-    return table + bytes(inline) + extra
+    return table + struct.pack(f"{order}{word}", following) + extra

@@ -207,7 +207,7 @@ def test_a_terrain_is_replaced(tmp_path):
 def test_a_disk_without_room_is_named_before_anything_is_written(tmp_path, monkeypatch):
     source = write_source(tmp_path)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(10**9, 10**9 - 5000, 5000))
-    with pytest.raises(FileError, match=r"needs about .* GB there; free some space"):
+    with pytest.raises(FileError, match=r"has 5 kB left, and the build needs about .* [kM]B there; free some space"):
         run_to_end(steps_of([source], tmp_path / "store"))
     assert [path.name for path in tmp_path.iterdir()] == ["heights.npy"]
 

@@ -65,6 +65,10 @@ def test_a_matrix_means_the_same_as_scale_and_tiepoint():
         ([(1024, 0, 1, 2), (2048, 0, 1, 4326), (4099, 0, 1, 9003)], (GEOGRAPHIC, 4326, 1.0, FEET)),
         ([(1024, 0, 1, 2), (2054, 0, 1, 9101)], (GEOGRAPHIC, None, math.degrees(1.0), 1.0)),
         ([(1024, 0, 1, 1), (4096, 0, 1, 6360)], (PROJECTED, None, 1.0, FEET)),
+        ([(3072, 0, 1, 2263)], (PROJECTED, 2263, FEET, 1.0)),
+        ([(1024, 0, 1, 1), (3072, 0, 1, 2263), (3076, 0, 1, 9001)], (PROJECTED, 2263, 1.0, 1.0)),
+        ([(2048, 0, 1, 4807)], (GEOGRAPHIC, 4807, 0.9, 1.0)),
+        ([(1024, 0, 1, 1), (3072, 0, 1, 4326)], (GEOGRAPHIC, 4326, 1.0, 1.0)),
     ],
 )
 def test_systems_and_units(rows, expected):
@@ -72,7 +76,9 @@ def test_systems_and_units(rows, expected):
     assert (reference.model_type, reference.epsg, reference.horizontal_unit, reference.vertical_unit) == expected
 
 
-@pytest.mark.parametrize(("text", "number"), [("-32767", -32767.0), ("-9999.5 \0", -9999.5), (-1, -1.0), ("none", None)])
+@pytest.mark.parametrize(
+    ("text", "number"), [("-32767", -32767.0), ("-9999.5 \0", -9999.5), ("-9999,0", -9999.0), (-1, -1.0), ("none", None)]
+)
 def test_no_data(text, number):
     assert read_georeference({NO_DATA: text}).no_data == number
 

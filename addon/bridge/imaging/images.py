@@ -15,10 +15,12 @@ from ...core.files.height_maps import check_size
 from ..blender import error_sentence
 from ..geometry.meshes import Source
 from ..shading.node_builder import nodes_in
+from .image_files import read_image_size
 
 INDEPENDENT_ALPHA = {"CHANNEL_PACKED", "NONE"}  # modes in which colors are not weighted by alpha
 EXTENSIONS = {False: "png", True: "exr"}  # lossless, by whether the pixels are floats
 FILE_FORMATS = {False: "PNG", True: "OPEN_EXR"}
+BLENDER_CHANNELS = 4  # of every image in memory, but those of OpenEXR
 
 
 def create_image(name: str, pixels: np.ndarray, is_data: bool, half_floats: bool = False) -> bpy.types.Image:
@@ -192,6 +194,7 @@ def read_gray_image(path: Path) -> np.ndarray:
     Raises:
         FileError: Blender cannot read it.
     """
+    _check_header(path)
     try:
         image = bpy.data.images.load(str(path))
     except RuntimeError as error:
@@ -209,3 +212,12 @@ def read_gray_image(path: Path) -> np.ndarray:
         bpy.data.images.remove(image)
     pixels = pixels.reshape(height, width, channels)
     return pixels[..., 0].copy() if channels < 3 else pixels[..., :3].mean(axis=2)
+
+
+def _check_header(path: Path) -> None:
+    """Raise FileError if an image that can be read without Blender declares more pixels than fit into memory."""
+    try:
+        width, height = read_image_size(path)
+    except FileError:
+        return  # Blender may know the format.
+    check_size(path, width * height * (1 if path.suffix.lower() == ".exr" else BLENDER_CHANNELS), 4)

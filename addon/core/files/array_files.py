@@ -7,9 +7,11 @@ from typing import BinaryIO
 import numpy as np
 
 from ..errors import FileError
+from .file_access import convert_os_errors
 
 # What numpy.load raises for headers that are no Python literals, and for sizes that the file does not have.
 NUMPY_ERRORS = (EOFError, OverflowError, SyntaxError, TypeError, ValueError, tokenize.TokenError)
+MAX_HEADER_BYTES = 1 << 16  # of .npy files; NumPy refuses longer ones, but reads them first
 
 
 def map_array(path: Path) -> np.ndarray:
@@ -18,7 +20,11 @@ def map_array(path: Path) -> np.ndarray:
     Raises:
         FileError: the file is truncated or damaged, is an archive, or contains Python objects.
     """
+    with convert_os_errors(f'"{path}" cannot be read'), path.open("rb") as file:
+        start = file.read(12)
     try:
+        if start[6:7] > b"\1" and int.from_bytes(start[8:], "little") > MAX_HEADER_BYTES:
+            raise ValueError("the header is too long")
         mapped = np.load(path, mmap_mode="r", allow_pickle=False)
         if not isinstance(mapped, np.ndarray):
             raise FileError(f'"{path}" is an archive, not a single array; save the array with numpy.save.')

@@ -36,7 +36,7 @@ POINT = 2  # value of RASTER_TYPE
 USER_DEFINED = 32767
 MAX_ROTATION = 1e-9  # Radians; less is rounding, and moves no sample by a thousandth of a pixel.
 
-METERS = {9001: 1.0, 9002: FOOT, 9003: SURVEY_FOOT}  # by unit code: meter, foot, US survey foot
+METERS = {9001: 1.0, 9002: FOOT, 9003: SURVEY_FOOT, 9036: 1000.0}  # by unit code: meter, foot, US survey foot, kilometer
 DEGREES = {9101: math.degrees(1.0), 9102: 1.0, 9103: 1.0 / 60.0, 9104: 1.0 / 3600.0, 9105: DEGREES_PER_GRAD, 9106: DEGREES_PER_GRAD}
 MAX_METADATA = 1 << 20  # characters of GDAL's metadata that are searched
 METADATA_ITEM = re.compile(r"<Item\b([^<>]*)>([^<>]*)</Item>")  # elements with text only

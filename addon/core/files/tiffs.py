@@ -119,6 +119,18 @@ class TiffImage:
             or (self.offsets + self.byte_counts > self.file_size).any()
         ):
             raise FileError(f'"{self.path}" is truncated; copy the file again.')
+        if not self.byte_counts.any():
+            raise FileError(f'"{self.path}" contains no pixels: none of its parts is stored; save it again.')
+        self._check_ratios()
+
+    def _check_ratios(self) -> None:
+        """Raise FileError if a strip or tile has fewer bytes than its pixels can be compressed to. The last strip may be shorter."""
+        if self.decode_other is None and self.dtype.kind != "b":
+            _, down = self._segment_counts
+            is_whole = np.arange(len(self.byte_counts)) % down < self.shape[0] // self.segment_shape[0] if not self.is_tiled else True
+            needed = math.prod(self.segment_shape) * self._segment_channels * self.dtype.itemsize
+            if ((self.byte_counts > 0) & (self.byte_counts < needed / MAX_RATIOS[self.compression]) & is_whole).any():
+                raise FileError(f'"{self.path}" is truncated; copy the file again.')
 
     def read(self, rows: slice, columns: slice, cache: SegmentCache | None = None) -> np.ndarray:
         """Return the samples (h, w, channels) of a window that lies within the image.

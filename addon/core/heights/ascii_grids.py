@@ -26,7 +26,7 @@ SIZE_KEYS = {"ncols", "nrows"}
 ALIASES = {"nodata": "nodata_value", "xcellsize": "dx", "xdim": "dx", "ycellsize": "dy", "ydim": "dy", "columns": "ncols", "rows": "nrows"}
 KEYS = SIZE_KEYS | {"xllcorner", "xllcenter", "yllcorner", "yllcenter", "cellsize", "dx", "dy", "nodata_value"}
 HEADER_LINE = re.compile(rb"\s*([A-Za-z_][A-Za-z0-9_]*)[ \t]*[ \t:=][ \t]*([^\r\n]*?)[ \t]*(?:\r\n?|\n)")
-NOT_KEYS = {"nan", "inf", "infinity"}  # words of heights
+UNKNOWN_WORDS = {"nan", "null"}  # for heights
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 MAX_NUMBER_BYTES = 64  # mean length of a height and the space after it
 BAD_NUMBERS = '"{path}" contains something other than numbers in its rows of heights; save it again with decimal points.'
@@ -86,11 +86,11 @@ class AsciiGrid:
 
 
 def _parse_numbers(text: bytes) -> np.ndarray:
-    """Return numbers (N,) float64, which may have decimal commas or be asterisks for unknown heights. Raises ValueError."""
+    """Return numbers (N,) float64, which may have decimal commas. Asterisks and "null" are unknown. Raises ValueError."""
     try:
         return np.array(text.split(), np.float64)
     except ValueError:
-        return np.array(text.replace(b",", b".").replace(b"*", b"nan").split(), np.float64)
+        return np.array(text.lower().replace(b",", b".").replace(b"*", b"nan").replace(b"null", b"nan").split(), np.float64)
 
 
 def open_ascii_grid(path: Path) -> AsciiGrid:
@@ -117,7 +117,7 @@ def _read_header(path: Path) -> tuple[dict[str, float], int]:
         text = file.read(MAX_HEADER_BYTES)
     header: dict[str, float] = {}
     position = len(BYTE_ORDER_MARK) if text.startswith(BYTE_ORDER_MARK) else 0
-    while (match := HEADER_LINE.match(text, position)) and (key := match[1].decode("ascii").lower()) not in NOT_KEYS:
+    while (match := HEADER_LINE.match(text, position)) and (key := match[1].decode("ascii").lower()) not in UNKNOWN_WORDS:
         key, position = ALIASES.get(key, key), match.end()
         try:
             if key in KEYS:
@@ -125,7 +125,7 @@ def _read_header(path: Path) -> tuple[dict[str, float], int]:
         except ValueError as error:
             if key != "nodata_value":
                 raise FileError(f'"{path}" has a header with a wrong number for "{key}"; save it again.') from error
-            header[key] = math.nan  # GRASS writes an asterisk there, and among the heights too
+            header[key] = math.nan  # GRASS writes an asterisk there, 12D a word, and among the heights too
     is_complete = header.keys() >= SIZE_KEYS and ("cellsize" in header or {"dx", "dy"} <= header.keys())
     if not is_complete or not all(header[key] == int(header[key]) for key in SIZE_KEYS if abs(header[key]) < 2**53):
         raise FileError(f'"{path}" is no Arc ASCII grid: its header lacks ncols, nrows or cellsize.')
@@ -157,6 +157,8 @@ def _find_rows(path: Path, start: int, rows: int, columns: int) -> np.ndarray:
         file.seek(start)
         position = start
         while block := file.read(BLOCK_BYTES):
+            if b"\0" in block:
+                raise FileError(BAD_NUMBERS.format(path=path))
             is_text = np.frombuffer(block, np.uint8) > ord(" ")
             begins = is_text.copy()
             begins[1:] &= ~is_text[:-1]

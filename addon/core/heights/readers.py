@@ -55,7 +55,8 @@ def _open_hgt_source(path: Path, _context: SourceContext) -> HeightSource:
     south, west = (int(match[2 * axis + 2]) * (-1 if match[2 * axis + 1] in "SsWw" else 1) for axis in range(2))
     step = (1.0 / (shape[1] - 1), 1.0 / (shape[0] - 1))
     placement = Placement((float(west), float(south)), step, is_geographic=True, code="EPSG:4326")
-    return HeightSource(path, shape, placement, _raw_reader(path, 0, np.dtype(">i2"), shape), 1.0)
+    dtype = np.dtype(">i2")
+    return HeightSource(path, shape, placement, _raw_reader(path, 0, dtype, shape), 1.0, void_heights=find_void_heights(dtype, 1.0))
 
 
 def _open_array_source(path: Path, context: SourceContext) -> HeightSource:

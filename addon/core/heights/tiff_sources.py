@@ -9,6 +9,7 @@ from ..files.tiffs import TiffImage, open_tiff
 from .positions import find_position
 from .sources import HeightSource, SourceContext, find_void_heights, flip, to_heights, warn_of_steps
 
+MAX_CHANNELS = 16  # of an image that is read as heights
 MAX_STEP_ERROR = 1e-6  # steps by which an offset may differ from a whole number of them
 
 
@@ -65,6 +66,8 @@ def _check_heights(tiff: TiffImage, context: SourceContext) -> None:
         if tiff.channels > 2 or tiff.dtype.kind == "b":
             kind = "a color image" if tiff.channels > 2 else "a black-and-white image"
             raise FileError(f'"{path}" is {kind}, no elevation model; use a file with one height per pixel.')
+    if tiff.channels > MAX_CHANNELS:
+        raise FileError(f'"{path}" has {tiff.channels:,} channels, no elevation model; use a file with one height per pixel.')
     if tiff.max_segment_bytes > context.max_segment_bytes:
         size = f"{tiff.max_segment_bytes / 2**20:,.0f} MiB"
         raise FileError(f'"{path}" is compressed in parts of {size}, which cannot be read by window; save it with tiles.')
@@ -89,4 +92,6 @@ def _warn_of_images(tiff: TiffImage) -> tuple[str, ...]:
         warnings.append(f'"{tiff.path}" contains {tiff.image_count} images or more; the first one is used.')
     if tiff.channels == 2 and tiff.alpha is None:
         warnings.append(f'"{tiff.path}" has 2 channels; the first one is used.')
+    if tiff.channels > 2 and tiff.is_map:
+        warnings.append(f'"{tiff.path}" is a color image; the mean of its colors is taken as the height.')
     return tuple(warnings)

@@ -61,4 +61,4 @@ def mask_voids(heights: np.ndarray, voids: Iterable[Void]) -> np.ndarray:
 
 def name_voids(path: object, voids: Iterable[Void]) -> tuple[str, ...]:
     """Return the sentences for the user about heights that are taken as holes."""
-    return tuple(f'"{path}" has {format_count(void.count, "height")} of {void.number:.7g}, which are taken as holes.' for void in voids)
+    return tuple(f'"{path}" has {format_count(void.count, "height")} of {void.number:.7g}, taken as unknown.' for void in voids)
