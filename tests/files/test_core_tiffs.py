@@ -245,13 +245,19 @@ class TestErrors:
         tags = dict.fromkeys((256, 257, 322, 323), (4, (2**14,)))  # 512 MB in one tile
         path = write_tiff(tmp_path / "huge.tif", hills("i2"), "deflate", 1, (128, 128), tags=tags)
         image = open_tiff(path)
-        image.check_complete()
         tracemalloc.start()
+        with pytest.raises(FileError, match="is truncated"):
+            image.check_complete()
         with pytest.raises(FileError, match="damaged"):
             image.read(slice(0, 8), slice(0, 8))
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         assert peak < 2**20
+
+    def test_an_image_of_which_nothing_is_stored(self, tmp_path):
+        path = write_tiff(tmp_path / "empty.tif", hills("i2"), "deflate", 1, (80, 112), empty=(0,))
+        with pytest.raises(FileError, match="contains no pixels: none of its parts is stored"):
+            read_all(path)
 
     def test_a_byte_anywhere_in_a_file(self, tmp_path):
         content = write_tiff(tmp_path / "map.tif", hills("f4"), "lzw", 3, (32, 32), tags=map_tags((30.0, 30.0), (0.0, 0.0))).read_bytes()
