@@ -95,7 +95,7 @@ def test_further_images_are_named(tmp_path):
         ({"scale": -0.5}, -0.5, 0.0, 0.5),
         ({"unit": "ft"}, FOOT, 0.0, FOOT),
         ({"unit": "US survey foot", "scale": 0.01, "offset": 3}, 0.01 * SURVEY_FOOT, 3.0 * SURVEY_FOOT, 0.01 * SURVEY_FOOT),
-        ({"unit": "metre"}, 1.0, 0.0, 1.0),
+        ({"unit": "Meter"}, 1.0, 0.0, 1.0),
         ({"unit": "cm"}, 0.01, 0.0, 0.01),
         ({"scale": 0.0, "offset": math.nan}, 1.0, 0.0, 1.0),
     ],

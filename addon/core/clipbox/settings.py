@@ -21,7 +21,7 @@ TERRAINS = {
     "sine": Choice("Sine", "Crossing sine waves with overhangs"),
     "volume": Choice("Volume", "A voxel model from a file"),
     "forest": Choice("Forest", "Copies of a voxel model from a file, scattered over hills"),
-    "heights": Choice("Heights", "A height map from a file: an image, a GeoTIFF or an array"),
+    "heights": Choice("Heights", "A height map from a file: an image, an elevation model or an array"),
 }
 SURFACES = {
     "smooth": Choice("Smooth", "Surface nets: vertices lie where the density is 0"),
