@@ -11,11 +11,11 @@ WGS84_KEYS = (1, 1, 0, 1, 1024, 0, 1, 2)  # GeoTIFF keys: x and y are degrees
 FEET_KEYS = (1, 1, 0, 2, 1024, 0, 1, 1, 3076, 0, 1, 9002)  # x and y are feet of a projection
 
 
-def write_png(path: Path, gray: np.ndarray) -> Path:
-    """Write a gray image (H, W) uint8 or uint16, row 0 at the top."""
+def write_png(path: Path, gray: np.ndarray, declared: tuple[int, int] | None = None) -> Path:
+    """Write a gray image (H, W) uint8 or uint16, row 0 at the top. declared: another width and height in its header."""
     rows = np.ascontiguousarray(gray.astype(gray.dtype.newbyteorder(">"))).view(np.uint8).reshape(len(gray), -1)
     lines = np.concatenate([np.zeros((len(gray), 1), np.uint8), rows], axis=1)
-    header = struct.pack(">2I5B", gray.shape[1], gray.shape[0], 8 * gray.itemsize, 0, 0, 0, 0)
+    header = struct.pack(">2I5B", *(declared or gray.shape[::-1]), 8 * gray.itemsize, 0, 0, 0, 0)
     chunks = [(b"IHDR", header), (b"IDAT", zlib.compress(lines.tobytes())), (b"IEND", b"")]
     packed = [struct.pack(">I", len(content)) + name + content + struct.pack(">I", zlib.crc32(name + content)) for name, content in chunks]
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(packed))

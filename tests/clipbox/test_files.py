@@ -382,4 +382,7 @@ class TestErrors:
             (tmp_path / name).write_bytes(b"hello")
             with pytest.raises(FileError, match=message):
                 read_file(tmp_path / name, READERS)
+        path = write_png(tmp_path / "huge.png", np.zeros((4, 4), np.uint8), declared=(30_000, 30_000))
+        with pytest.raises(FileError, match=r'huge\.png" needs 13\.4 GiB of memory for its samples'):
+            read_file(path, READERS)
         assert len(bpy.data.images) == before

@@ -6,9 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from farfield.addon.core.bdam.building.tiff_colors import TiffColors
 from farfield.addon.core.bdam.fields.terrain_field import open_field, warn_of_heights
 from farfield.addon.core.clipbox.files.readers import read_file
 from farfield.addon.core.errors import FileError
+from farfield.addon.core.files.segment_cache import SegmentCache
+from farfield.addon.core.files.tiffs import open_tiff
 from tiff_writer import UTM_KEYS, map_tags, write_tiff
 
 pytest.importorskip("tifffile")
@@ -58,6 +61,13 @@ def test_masked_cells_are_holes(tmp_path, compression):
     path = write_tiff(tmp_path / "map.tif", ramp(), compression, tags=PLACED, mask=~HOLES, big=compression == "lzw")
     heights, _, warnings = read_both(path)
     assert np.array_equal(np.isnan(heights), HOLES) and np.array_equal(heights[~HOLES], ramp()[~HOLES]) and warnings == ()
+
+
+def test_masked_pixels_of_a_texture_are_transparent(tmp_path):
+    colors = np.full((ROWS, COLUMNS, 3), 200, np.uint8)
+    tiff = open_tiff(write_tiff(tmp_path / "map.tif", colors, "deflate", mask=~HOLES))
+    pixels = TiffColors(tiff, SegmentCache()).read(slice(0, ROWS), slice(0, COLUMNS))
+    assert np.array_equal(pixels[:, :, 3], np.where(HOLES, 0, 255)) and (pixels[:, :, :3] == 200).all()
 
 
 def test_a_mask_in_a_file_of_its_own(tmp_path):
