@@ -37,8 +37,8 @@ def read_both(path: Path) -> tuple[np.ndarray, tuple[float, float], tuple[str, .
     heights = field.read(slice(0, field.shape[0]), slice(0, field.shape[1]))
     height_map = read_file(path)
     assert np.array_equal(height_map.heights, heights, equal_nan=True)
-    middle = np.array([0.5, -0.5])
-    x, y = field.frame.to_local(field.shape[1] / 2 - 0.5 + middle, field.shape[0] / 2 - 0.5 + middle)
+    offsets = np.array([0.5, -0.5])
+    x, y = field.frame.to_local(field.shape[1] / 2 - 0.5 + offsets, field.shape[0] / 2 - 0.5 + offsets)
     cell = (x[0] - x[1], y[0] - y[1])
     assert height_map.pixel_size == pytest.approx(cell, rel=0.01)
     warnings = tuple(text for text in field.warnings if "has no position" not in text)
@@ -301,6 +301,27 @@ def test_an_unplaced_tiff_is_where_its_world_file_says(tmp_path):
         'PROJCS["x",GEOGCS["y",UNIT["degree",0.017]],UNIT["Foot_US",0.3048006096012192]],VERT_CS["z",UNIT["m",1]]'
     )
     assert read_both(path)[1] == pytest.approx((20.0 * SURVEY_FOOT, 30.0 * SURVEY_FOOT))
+
+
+def test_gdal_keeps_what_a_format_cannot_hold_in_a_file_of_its_own(tmp_path):
+    values = ramp(np.int16)
+    values[3, 4] = -7
+    path = write_tiff(tmp_path / "map.tif", values)
+    wkt = 'PROJCS["x",GEOGCS["y",UNIT["degree",0.017]],UNIT["foot",0.3048]]'.replace('"', "&quot;")
+    bands = '<PAMRasterBand band="1"><NoDataValue>-7</NoDataValue><Scale>0.1</Scale><UnitType>ft</UnitType></PAMRasterBand>'
+    bands += '<PAMRasterBand band="2"><Offset>9</Offset></PAMRasterBand>'
+    transform = "<GeoTransform>500000, 20, 0, 4500000, 0, -30</GeoTransform>"
+    (tmp_path / "map.tif.aux.xml").write_text(f'<PAMDataset><SRS dataAxisToSRSAxisMapping="1,2">{wkt}</SRS>{transform}{bands}</PAMDataset>')
+    heights, cell, warnings = read_both(path)
+    assert np.argwhere(np.isnan(heights)).tolist() == [[3, 4]] and warnings == ()
+    assert np.allclose(np.delete(heights, 4, axis=1), 0.1 * FOOT * np.delete(values, 4, axis=1), rtol=1e-6)
+    assert cell == pytest.approx((20.0 * FOOT, 30.0 * FOOT))
+    assert open_field([path]).placement.first == pytest.approx((500_010.0 * FOOT, (4_500_000.0 - 15.0 - 39 * 30.0) * FOOT))
+
+
+def test_a_name_too_long_for_further_files(tmp_path):
+    heights, _, _ = read_both(write_tiff(tmp_path / f"{'a' * 250}.tif", ramp(), tags=PLACED))
+    assert np.array_equal(heights, ramp())
 
 
 @pytest.mark.parametrize("name", ["text.tif", "N24E035.hgt", "empty.asc"])

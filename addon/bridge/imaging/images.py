@@ -20,7 +20,7 @@ from .image_files import read_image_size
 INDEPENDENT_ALPHA = {"CHANNEL_PACKED", "NONE"}  # modes in which colors are not weighted by alpha
 EXTENSIONS = {False: "png", True: "exr"}  # lossless, by whether the pixels are floats
 FILE_FORMATS = {False: "PNG", True: "OPEN_EXR"}
-BLENDER_CHANNELS = 4  # of every image in memory, but those of OpenEXR
+BLENDER_CHANNELS = 4  # channels of an image in memory, whatever its file has; not for OpenEXR
 
 
 def create_image(name: str, pixels: np.ndarray, is_data: bool, half_floats: bool = False) -> bpy.types.Image:

@@ -11,7 +11,7 @@ from .file_access import convert_os_errors
 
 # What numpy.load raises for headers that are no Python literals, and for sizes that the file does not have.
 NUMPY_ERRORS = (EOFError, OverflowError, SyntaxError, TypeError, ValueError, tokenize.TokenError)
-MAX_HEADER_BYTES = 1 << 16  # of .npy files; NumPy refuses longer ones, but reads them first
+MAX_HEADER_BYTES = 1 << 16  # NumPy refuses longer headers of .npy files, but reads them first.
 
 
 def map_array(path: Path) -> np.ndarray:

@@ -149,6 +149,14 @@ def read_status(path: Path) -> os.stat_result | None:
         return _read_status(path)
 
 
+def has_companion(path: Path) -> bool:
+    """Whether there is a regular file at a path that is made of another one. Its name may be too long for that."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
+
+
 def _read_status(path: Path) -> os.stat_result | None:
     """Return the status of the file behind all links, None if there is none. Raises OSError, or FileError if the path is no text."""
     check_unicode(path)

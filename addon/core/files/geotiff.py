@@ -6,7 +6,7 @@ The package rasterio reads more, but would add 36 MB to the zip of every platfor
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..geometry.coordinate_systems import (
     DEGREES_PER_GRAD,
@@ -38,9 +38,10 @@ MAX_ROTATION = 1e-9  # Radians; less is rounding, and moves no sample by a thous
 
 METERS = {9001: 1.0, 9002: FOOT, 9003: SURVEY_FOOT, 9036: 1000.0}  # by unit code: meter, foot, US survey foot, kilometer
 DEGREES = {9101: math.degrees(1.0), 9102: 1.0, 9103: 1.0 / 60.0, 9104: 1.0 / 3600.0, 9105: DEGREES_PER_GRAD, 9106: DEGREES_PER_GRAD}
+NO_VERTICAL_UNIT = "has positions in feet and heights without a unit; they are taken as meters."
 MAX_METADATA = 1 << 20  # characters of GDAL's metadata that are searched
 METADATA_ITEM = re.compile(r"<Item\b([^<>]*)>([^<>]*)</Item>")  # elements with text only
-METADATA_ATTRIBUTE = re.compile(r"(\w+)\s*=\s*[\"']([^\"']*)[\"']")
+METADATA_ATTRIBUTE = re.compile(r"\b(\w+)\s*=\s*[\"']([^\"']*)[\"']")
 
 
 @dataclass(frozen=True)
@@ -93,9 +94,8 @@ def read_georeference(tags: Mapping[int, object]) -> GeoReference:
         horizontal_unit = METERS.get(int(keys[LINEAR_UNIT]), keys.get(LINEAR_UNIT_SIZE))
     else:
         horizontal_unit = 1.0 if epsg is None else unit_of_code(epsg)
-    vertical_unit, remarks = _read_vertical_unit(keys, metadata.get("unittype", ""), horizontal_unit if model_type == PROJECTED else 1.0)
-    scale, offset = (_parse_number(metadata.get(role, "")) for role in ("scale", "offset"))
-    return GeoReference(
+    vertical_unit, remarks = _read_vertical_unit(keys, horizontal_unit if model_type == PROJECTED else 1.0)
+    reference = GeoReference(
         affine=_read_affine(tags, is_point),
         is_point=is_point,
         model_type=model_type,
@@ -104,10 +104,37 @@ def read_georeference(tags: Mapping[int, object]) -> GeoReference:
         horizontal_unit=horizontal_unit,
         vertical_unit=vertical_unit,
         no_data=_parse_number(tags[NO_DATA]) if NO_DATA in tags else None,
-        scale=scale if scale is not None and are_valid_sizes((abs(scale),)) else 1.0,
-        offset=offset if offset is not None and math.isfinite(offset) else 0.0,
         remarks=remarks,
     )
+    return add_metadata(reference, metadata)
+
+
+def add_metadata(reference: GeoReference, metadata: Mapping[str, str]) -> GeoReference:
+    """Return a georeference with texts of GDAL: scale, offset, unittype and nodatavalue, and geotransform if it has no position."""
+    scale, offset, no_data = (_parse_number(metadata.get(role, "")) for role in ("scale", "offset", "nodatavalue"))
+    if scale is not None and are_valid_sizes((abs(scale),)):
+        reference = replace(reference, scale=scale)
+    if offset is not None and math.isfinite(offset):
+        reference = replace(reference, offset=offset)
+    if no_data is not None:
+        reference = replace(reference, no_data=no_data)
+    if reference.affine is None and (affine := _parse_transform(metadata.get("geotransform", ""))) is not None:
+        reference = replace(reference, affine=affine)
+    name = single_line(metadata.get("unittype", "")).strip()
+    if name and (unit := unit_of_name(name)) is not None:
+        return replace(reference, vertical_unit=unit, remarks=tuple(text for text in reference.remarks if text != NO_VERTICAL_UNIT))
+    unknown = (f'has heights in the unknown unit "{name[:40]}"; they are taken as meters.',) if name else ()
+    return replace(reference, remarks=(*reference.remarks, *unknown))
+
+
+def _parse_transform(text: str) -> tuple[float, float, float, float, float, float] | None:
+    """Return the affine map from the six numbers of GDAL, which count from the corner of the first pixel."""
+    numbers = [_parse_number(word) for word in text.split(",")]
+    if len(numbers) != 6 or not all(number is not None and math.isfinite(number) for number in numbers):
+        return None
+    x, a, b, y, d, e = numbers
+    is_valid = are_valid_sizes((math.hypot(a, d), math.hypot(b, e)))
+    return (a, b, x + 0.5 * (a + b), d, e, y + 0.5 * (d + e)) if is_valid else None
 
 
 def has_elevations(tags: Mapping[int, object]) -> bool:
@@ -129,15 +156,11 @@ def _read_system(keys: Mapping[int, float], texts: str) -> tuple[int | None, int
     return model_type, epsg
 
 
-def _read_vertical_unit(keys: Mapping[int, float], name: str, horizontal_unit: float | None) -> tuple[float, tuple[str, ...]]:
-    """Return the meters per unit of the heights, and remarks. name: the unit in GDAL's metadata."""
-    if name := single_line(name).strip():
-        unit = unit_of_name(name)
-        return (1.0, (f'has heights in the unknown unit "{name[:40]}"; they are taken as meters.',)) if unit is None else (unit, ())
+def _read_vertical_unit(keys: Mapping[int, float], horizontal_unit: float | None) -> tuple[float, tuple[str, ...]]:
+    """Return the meters per unit of the heights, and remarks."""
     if VERTICAL_UNIT in keys or VERTICAL_CRS in keys:
         return METERS.get(keys.get(VERTICAL_UNIT), VERTICAL_CODES.get(keys.get(VERTICAL_CRS), 1.0)), ()
-    is_feet = horizontal_unit in (FOOT, SURVEY_FOOT)
-    return 1.0, ("has positions in feet and heights without a unit; they are taken as meters.",) if is_feet else ()
+    return 1.0, (NO_VERTICAL_UNIT,) if horizontal_unit in (FOOT, SURVEY_FOOT) else ()
 
 
 def _read_metadata(tags: Mapping[int, object]) -> dict[str, str]:

@@ -20,6 +20,7 @@ import numpy as np
 
 from ..errors import FileError
 from .array_files import read_raw_window
+from .file_access import has_companion
 from .geotiff import GEO_TAGS, GeoReference, has_elevations, read_georeference
 from .height_maps import check_numeric, check_size
 from .segment_cache import SegmentCache
@@ -127,9 +128,9 @@ class TiffImage:
         """Raise FileError if a strip or tile has fewer bytes than its pixels can be compressed to. The last strip may be shorter."""
         if self.decode_other is None and self.dtype.kind != "b":
             _, down = self._segment_counts
-            is_whole = np.arange(len(self.byte_counts)) % down < self.shape[0] // self.segment_shape[0] if not self.is_tiled else True
+            is_complete = np.arange(len(self.byte_counts)) % down < self.shape[0] // self.segment_shape[0] if not self.is_tiled else True
             needed = math.prod(self.segment_shape) * self._segment_channels * self.dtype.itemsize
-            if ((self.byte_counts > 0) & (self.byte_counts < needed / MAX_RATIOS[self.compression]) & is_whole).any():
+            if ((self.byte_counts > 0) & (self.byte_counts < needed / MAX_RATIOS[self.compression]) & is_complete).any():
                 raise FileError(f'"{self.path}" is truncated; copy the file again.')
 
     def read(self, rows: slice, columns: slice, cache: SegmentCache | None = None) -> np.ndarray:
@@ -229,7 +230,7 @@ def open_tiff(path: Path) -> TiffImage:
             else:
                 image_count += not page.subfiletype & REDUCED
     external = path.with_name(f"{path.name}.msk")
-    if mask is None and external.is_file():
+    if mask is None and has_companion(external):
         other = open_tiff(external)
         mask = other if other.shape == image.shape else None
     return replace(image, mask=mask, image_count=image_count)

@@ -16,7 +16,7 @@ from ..files.height_maps import MAX_SAMPLES, are_valid_sizes
 from ..files.segment_cache import SegmentCache
 from ..geometry.coordinate_systems import seem_degrees
 from ..geometry.placements import Placement
-from .positions import read_projection
+from .auxiliary_files import read_projection
 
 MAX_HEADER_BYTES = 4096
 BLOCK_BYTES = 4 << 20  # bytes of the file that are searched at once

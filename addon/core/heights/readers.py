@@ -13,7 +13,7 @@ from ..files.geotiff import GeoReference
 from ..files.height_maps import check_numeric, check_size
 from ..geometry.placements import Placement, unplaced
 from .ascii_grids import open_ascii_grid
-from .positions import find_position
+from .positions import complete_georeference, find_position
 from .sources import HeightSource, SourceContext, find_void_heights, flip, to_heights, warn_of_steps
 from .tiff_sources import open_tiff_source
 
@@ -112,7 +112,7 @@ def _open_image_source(path: Path, context: SourceContext) -> HeightSource:
     heights = context.read_image(path)
     check_size(path, heights.size, heights.itemsize)
     step = None if bits is None else context.image_height / (2**bits - 1)
-    position = find_position(path, GeoReference(), heights.shape, context.cell_size)
+    position = find_position(path, complete_georeference(path, GeoReference()), heights.shape, context.cell_size)
     flipped = position.is_south_up  # Row 0 of `heights` is the last row of the file.
 
     def read(rows: slice, columns: slice) -> np.ndarray:

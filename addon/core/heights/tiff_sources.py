@@ -6,10 +6,10 @@ import numpy as np
 
 from ..errors import FileError
 from ..files.tiffs import TiffImage, open_tiff
-from .positions import find_position
+from .positions import complete_georeference, find_position
 from .sources import HeightSource, SourceContext, find_void_heights, flip, to_heights, warn_of_steps
 
-MAX_CHANNELS = 16  # of an image that is read as heights
+MAX_CHANNELS = 16  # Images with more are no height maps.
 MAX_STEP_ERROR = 1e-6  # steps by which an offset may differ from a whole number of them
 
 
@@ -25,9 +25,9 @@ def open_tiff_source(path: Path, context: SourceContext) -> HeightSource:
     tiff = open_tiff(path)
     _check_heights(tiff, context)
     tiff.check_complete()
-    reference = tiff.georeference
+    reference = complete_georeference(path, tiff.georeference)
     position = find_position(path, reference, tiff.shape, context.cell_size)
-    is_gray = tiff.dtype.kind in "ub" and not tiff.is_map
+    is_gray = tiff.dtype.kind in "ub" and not tiff.is_map and (reference.scale, reference.offset) == (1.0, 0.0)
     scale, offset = reference.scale * reference.vertical_unit, reference.offset * reference.vertical_unit
     if is_gray:
         scale = context.image_height if tiff.dtype.kind == "b" else context.image_height / np.iinfo(tiff.dtype).max

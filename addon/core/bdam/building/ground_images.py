@@ -20,7 +20,7 @@ from ...files.geotiff import GeoReference
 from ...files.segment_cache import SegmentCache
 from ...files.tiffs import TiffImage, open_tiff
 from ...geometry.placements import Placement
-from ...heights.positions import Position, find_position
+from ...heights.positions import Position, complete_georeference, find_position
 from ...imaging.coded_images import read_coded_image, read_coded_shape
 from ..textures.resampling import PlacedImage
 from .height_grid import read_window
@@ -126,7 +126,7 @@ def _place_image(path: Path, index: int, is_single: bool, field: Placement, shap
     else:
         endings = ", ".join((*TIFF_EXTENSIONS, *CODED_EXTENSIONS))
         raise FileError(f'"{path}" cannot be used as a texture; its name must end in one of {endings}.')
-    position = find_position(path, reference, size[:2], 1.0)
+    position = find_position(path, complete_georeference(path, reference), size[:2], 1.0)
     if position.placement.is_placed:
         corner, step = _place_on_map(path, position, reference.affine is not None, size[:2], field, shape)
     elif is_single:
