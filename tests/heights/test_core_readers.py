@@ -94,7 +94,7 @@ def test_further_images_are_named(tmp_path):
         writer.write(ramp()[::2, ::2], metadata=None, subfiletype=1)
         writer.write(ramp() + 1.0, metadata=None)
     heights, _, warnings = read_both(tmp_path / "pages.tif")
-    assert np.array_equal(heights, ramp()) and warnings == ("contains 2 images or more; the first one is used.",)
+    assert np.array_equal(heights, ramp()) and warnings == ("contains several images; the first one is used.",)
 
 
 @pytest.mark.parametrize(
@@ -175,6 +175,12 @@ def test_degrees_are_recognized(tmp_path, rows, expected):
     tags = map_tags((1 / 3600, 1 / 3600), (8.0, 60.0), keys(*rows))
     _, cell, warnings = read_both(write_tiff(tmp_path / "map.tif", ramp(), tags=tags if rows else {33550: tags[33550], 33922: tags[33922]}))
     assert cell == pytest.approx((METERS_PER_DEGREE / 7200, METERS_PER_DEGREE / 3600), rel=0.01) and warnings == expected
+
+
+def test_scans_with_local_coordinates_are_in_meters(tmp_path):
+    tags = map_tags((0.01, 0.01), (-2.0, 3.0))
+    _, cell, warnings = read_both(write_tiff(tmp_path / "map.tif", ramp(), tags={33550: tags[33550], 33922: tags[33922]}))
+    assert cell == pytest.approx((0.01, 0.01)) and warnings == ()
 
 
 @pytest.mark.parametrize(("code", "latitude"), [(3857, 60.0), (3857, -45.0), (3395, 30.0), (3857, 0.0)])
@@ -292,10 +298,10 @@ def test_an_ascii_grid_may_begin_with_an_unknown_height(tmp_path, word):
 
 
 def test_an_unplaced_tiff_is_where_its_world_file_says(tmp_path):
-    path = write_tiff(tmp_path / "map.tif", ramp())
+    path = write_tiff(tmp_path / "map.tif", ramp(np.uint16))
     (tmp_path / "map.tfw").write_text("20\n0\n0\n-30\n500010\n4500000\n")
-    _, cell, warnings = read_both(path)
-    assert cell == (20.0, 30.0) and warnings == ()
+    heights, cell, warnings = read_both(path)
+    assert np.array_equal(heights, ramp()) and cell == (20.0, 30.0) and warnings == ()
     assert open_field([path]).placement.first == (500_010.0, 4_500_000.0 - 39 * 30.0)
     (tmp_path / "map.prj").write_text(
         'PROJCS["x",GEOGCS["y",UNIT["degree",0.017]],UNIT["Foot_US",0.3048006096012192]],VERT_CS["z",UNIT["m",1]]'

@@ -68,7 +68,7 @@ class TiffImage:
         decode_other: tifffile's decoder, for segments that `tiff_codecs` does not decode.
         page: index of the image in the file.
         mask: the image of the file whose pixels are 0 where those of this one are unknown.
-        image_count: images in the file, without masks and smaller versions of others; those that follow after MAX_PAGES do not count.
+        has_further_images: whether the file contains others that are neither masks nor smaller versions.
     """
 
     path: Path
@@ -91,7 +91,7 @@ class TiffImage:
     decode_other: Callable[[bytes, int], np.ndarray] | None
     page: int = 0
     mask: "TiffImage | None" = None
-    image_count: int = 1
+    has_further_images: bool = False
 
     @property
     def max_segment_bytes(self) -> int:
@@ -222,18 +222,18 @@ def open_tiff(path: Path) -> TiffImage:
     with convert_tiff_errors(path), tifffile.TiffFile(path) as file:
         size = path.stat().st_size
         image = _describe(path, file.pages.first, size)
-        mask, image_count = None, 1
+        mask, has_further_images = None, False
         for page in _read_further_pages(file):
             if page.subfiletype & MASK:
                 is_own = not page.subfiletype & REDUCED and (page.imagelength, page.imagewidth) == image.shape
                 mask = _describe(path, page, size) if is_own and mask is None else mask
             else:
-                image_count += not page.subfiletype & REDUCED
+                has_further_images |= not page.subfiletype & REDUCED
     external = path.with_name(f"{path.name}.msk")
     if mask is None and has_companion(external):
         other = open_tiff(external)
         mask = other if other.shape == image.shape else None
-    return replace(image, mask=mask, image_count=image_count)
+    return replace(image, mask=mask, has_further_images=has_further_images)
 
 
 def _read_further_pages(file: "TiffFile") -> Iterator["TiffPage"]:

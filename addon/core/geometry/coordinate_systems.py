@@ -48,6 +48,7 @@ LENGTH_UNITS = {  # by name, in lower case without punctuation, in American spel
     **dict.fromkeys(("mm", "millimeter", "millimeters"), 0.001),
 }
 MAX_DEGREE_CELL = 0.2  # cells of degrees are smaller, those of meters wider
+OPEN_SEA = 4.0  # degrees around 0 north, 0 east without land
 WKT_UNIT = re.compile(r'UNIT\s*\[\s*"[^"]*"\s*,\s*([0-9.eE+-]+)')  # the last one of a projection is that of its coordinates
 WKT_VERTICAL = re.compile(r"\bVERT(?:_?CS|CRS)\s*\[", re.IGNORECASE)
 GEOGRAPHIC_WKT, PROJECTED_WKT = ("GEOGCS", "GEOGCRS", "GEODCRS"), ("PROJCS", "PROJCRS", "COMPD_CS", "COMPOUNDCRS", "BOUNDCRS")
@@ -78,8 +79,9 @@ def unit_of_name(name: str) -> float | None:
 
 def seem_degrees(first: tuple[float, float], step: tuple[float, float]) -> bool:
     """Return whether the position and the steps of a grid in an unknown unit are longitudes and latitudes: the cells are too small for
-    meters, and the position lies on the globe."""
-    return max(step) < MAX_DEGREE_CELL and abs(first[0]) <= 360.0 and abs(first[1]) <= 90.0
+    meters, and the position lies on the globe, but not in the sea around its origin, where grids with local coordinates would lie."""
+    is_local = max(abs(first[0]), abs(first[1])) < OPEN_SEA
+    return max(step) < MAX_DEGREE_CELL and abs(first[0]) <= 360.0 and abs(first[1]) <= 90.0 and not is_local
 
 
 def mercator_scale(code: str | None, y: float) -> float:

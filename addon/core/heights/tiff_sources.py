@@ -16,8 +16,8 @@ MAX_STEP_ERROR = 1e-6  # steps by which an offset may differ from a whole number
 def open_tiff_source(path: Path, context: SourceContext) -> HeightSource:
     """Open the first image of a TIFF file as an elevation model.
 
-    Unsigned integers without any tag of a map are gray values; all other samples are elevations. Where a mask or alpha is 0, heights are
-    unknown.
+    Unsigned integers without any tag of a map or a world file are gray values; all other samples are elevations. Where a mask or alpha is
+    0, heights are unknown.
 
     Raises:
         FileError: it holds no heights, is damaged, or cannot be read by window.
@@ -27,7 +27,7 @@ def open_tiff_source(path: Path, context: SourceContext) -> HeightSource:
     tiff.check_complete()
     reference = complete_georeference(path, tiff.georeference)
     position = find_position(path, reference, tiff.shape, context.cell_size)
-    is_gray = tiff.dtype.kind in "ub" and not tiff.is_map and (reference.scale, reference.offset) == (1.0, 0.0)
+    is_gray = tiff.dtype.kind in "ub" and not tiff.is_map and reference.affine is None and (reference.scale, reference.offset) == (1.0, 0.0)
     scale, offset = reference.scale * reference.vertical_unit, reference.offset * reference.vertical_unit
     if is_gray:
         scale = context.image_height if tiff.dtype.kind == "b" else context.image_height / np.iinfo(tiff.dtype).max
@@ -88,8 +88,8 @@ def _select_heights(samples: np.ndarray, tiff: TiffImage) -> np.ndarray:
 def _warn_of_images(tiff: TiffImage) -> tuple[str, ...]:
     """Return warnings about what of a file is not read."""
     warnings = []
-    if tiff.image_count > 1:
-        warnings.append(f'"{tiff.path}" contains {tiff.image_count} images or more; the first one is used.')
+    if tiff.has_further_images:
+        warnings.append(f'"{tiff.path}" contains several images; the first one is used.')
     if tiff.channels == 2 and tiff.alpha is None:
         warnings.append(f'"{tiff.path}" has 2 channels; the first one is used.')
     if tiff.channels > 2 and tiff.is_map:
