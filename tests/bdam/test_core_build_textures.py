@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from farfield.addon.core.bdam.building.ground_images import place_images
 from farfield.addon.core.bdam.building.terrain_build import build_terrain
 from farfield.addon.core.bdam.fields.terrain_field import FieldSettings, open_field
 from farfield.addon.core.bdam.settings import BdamSettings
@@ -203,3 +204,13 @@ def test_images_with_a_position_need_a_field_with_one(tmp_path):
     np.save(tmp_path / "dem.npy", np.random.default_rng(0).uniform(0.0, 9.0, (33, 33)))
     with pytest.raises(FileError, match="elevation model has none"):
         build(tmp_path, [place(tmp_path, "a.tif")], tmp_path / "dem.npy")
+
+
+def test_further_images_of_a_file_are_named(tmp_path):
+    tifffile = pytest.importorskip("tifffile")
+    with tifffile.TiffWriter(tmp_path / "pages.tif") as writer:
+        for _ in range(2):
+            writer.write(gradient(20, 20), photometric="rgb", metadata=None)
+    field = open_field([write_dem(tmp_path)])
+    image = place_images([tmp_path / "pages.tif"], field.placement, field.shape)[0]
+    assert [text.partition('" ')[2] for text in image.warnings] == ["contains several images; the first one is used."]

@@ -105,6 +105,11 @@ class TiffImage:
         """Whether strips or tiles are decoded as a whole."""
         return not self._is_raw
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences for the user about what of the file is not read."""
+        return (f'"{self.path}" contains several images; the first one is used.',) if self.has_further_images else ()
+
     def check_complete(self) -> None:
         """Raise FileError unless the file is as long as its header says, and its strips or tiles fit into memory. Call it before `read`."""
         if self.mask is not None:

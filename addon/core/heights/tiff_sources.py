@@ -86,12 +86,9 @@ def _select_heights(samples: np.ndarray, tiff: TiffImage) -> np.ndarray:
 
 
 def _warn_of_images(tiff: TiffImage) -> tuple[str, ...]:
-    """Return warnings about what of a file is not read."""
-    warnings = []
-    if tiff.has_further_images:
-        warnings.append(f'"{tiff.path}" contains several images; the first one is used.')
+    """Return warnings about what of a file is not read as it is."""
     if tiff.channels == 2 and tiff.alpha is None:
-        warnings.append(f'"{tiff.path}" has 2 channels; the first one is used.')
+        return (*tiff.warnings, f'"{tiff.path}" has 2 channels; the first one is used.')
     if tiff.channels > 2 and tiff.is_map:
-        warnings.append(f'"{tiff.path}" is a color image; the mean of its colors is taken as the height.')
-    return tuple(warnings)
+        return (*tiff.warnings, f'"{tiff.path}" is a color image; the mean of its colors is taken as the height.')
+    return tiff.warnings

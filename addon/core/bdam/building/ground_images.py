@@ -38,6 +38,7 @@ class GroundImage:
         raw: name in the work folder of the file with the decoded pixels, None for TIFF files.
         shape: rows, columns, channels.
         corner, step: position on the field, see `PlacedImage`.
+        warnings: sentences for the user.
     """
 
     path: str
@@ -45,6 +46,7 @@ class GroundImage:
     shape: tuple[int, int, int]
     corner: tuple[float, float]
     step: tuple[float, float]
+    warnings: tuple[str, ...] = ()
 
     @property
     def raw_bytes(self) -> int:
@@ -114,11 +116,11 @@ def open_image(image: GroundImage, folder: Path, cache: SegmentCache) -> PlacedI
 def _place_image(path: Path, index: int, is_single: bool, field: Placement, shape: tuple[int, int]) -> GroundImage:
     check_readable(path)
     extension = path.suffix.lower()
-    reference, raw = GeoReference(), None
+    reference, raw, warnings = GeoReference(), None, ()
     if extension in TIFF_EXTENSIONS:
         tiff = _open_color_tiff(path)
         size = *tiff.shape, TiffColors.count_channels(tiff)
-        reference = tiff.georeference
+        reference, warnings = tiff.georeference, tiff.warnings
     elif extension in CODED_EXTENSIONS:
         raw = f"image-{index:04d}.raw"
         with _convert_image_errors(path):
@@ -135,7 +137,7 @@ def _place_image(path: Path, index: int, is_single: bool, field: Placement, shap
         raise FileError(f'"{path}" has no position, so it cannot be joined with other images; add a world file, or use a GeoTIFF.')
     if raw is not None:  # its first row is the southern one
         corner, step = (corner[0], corner[1] + step[1] * size[0]), (step[0], -step[1])
-    return GroundImage(str(path.absolute()), raw, size, corner, step)
+    return GroundImage(str(path.absolute()), raw, size, corner, step, warnings)
 
 
 def _place_on_map(

@@ -49,12 +49,13 @@ class TextureWork:
         """Sentences for the user."""
         grid = self.plan.grid
         texel = grid.texel(grid.level_count - 1)
+        known = tuple(warning for image in self.images for warning in image.warnings)
         finer = [image for image in self.images if min(map(abs, image.step)) * (1.0 + MAX_COARSER) < texel]
         if not finer:
-            return ()
+            return known
         pixel, meters = min(map(abs, finer[0].step)) * max(grid.spacing), grid.texel_meters(grid.level_count - 1)
         sizes = f"pixels of {pixel:.3g} m, finer than the smallest texels of {meters:.3g} m"
-        return (f'"{finer[0].path}" has {sizes}; choose a smaller Patch Size for finer texels.',)
+        return (*known, f'"{finer[0].path}" has {sizes}; choose a smaller Patch Size for finer texels.')
 
 
 def plan_textures(field: TerrainField, tree: Tree, paths: Sequence[Path], settings: BdamSettings) -> TextureWork | None:
