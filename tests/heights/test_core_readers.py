@@ -143,13 +143,14 @@ FEET_WARNING = "has positions in feet and heights without a unit; they are taken
     [
         *((2263, SURVEY_FOOT), (2230, SURVEY_FOOT), (6539, SURVEY_FOOT), (3404, SURVEY_FOOT), (26741, SURVEY_FOOT), (32104, 1.0)),
         *((2223, FOOT), (2256, FOOT), (2992, FOOT), (6405, FOOT), (26914, 1.0), (27700, 1.0), (2193, 1.0), (5070, 1.0)),
+        *((27291, 0.914398414616), (29371, 1.0000135965)),
     ],
 )
 def test_units_of_systems_by_their_code(tmp_path, code, unit):
     _, cell, warnings = read_both(
         write_tiff(tmp_path / "map.tif", ramp(), tags=map_tags((10.0, 10.0), CORNER, keys((1024, 1), (3072, code))))
     )
-    assert cell == pytest.approx((10.0 * unit, 10.0 * unit)) and warnings == (() if unit == 1.0 else (FEET_WARNING,))
+    assert cell == pytest.approx((10.0 * unit, 10.0 * unit)) and warnings == ((FEET_WARNING,) if unit in (FOOT, SURVEY_FOOT) else ())
 
 
 def test_a_declared_vertical_unit_needs_no_warning(tmp_path):

@@ -1,8 +1,8 @@
 """Units of coordinate reference systems by their EPSG code, and from text in WKT (OGC 01-009, Coordinate Transformation Services).
 
-Maps may name a system without its unit. The tables hold all systems of the EPSG Geodetic Parameter Dataset 12 in feet, those in degrees
-that are named like projections by mistake, and the projections whose scale depends on the latitude alone. All other projections are taken
-to be in meters.
+Maps may name a system without its unit. The tables hold all projected systems of the EPSG Geodetic Parameter Dataset 11.022 that are not in
+meters, common ones in degrees, which some files name as if they were projected, and the projections whose scale depends on the latitude
+alone.
 """
 
 import math
@@ -27,6 +27,23 @@ FOOT_CODES = (
     "3359 3361 3479-3483/2 3588 3590 3593 3605 3634 3636 3644-3648/2 3656 3676-3682/3 5588 6128-6141 6391 6405-6409/2 6494 6496 6499 6515 "
     "6545 6547 6557-6561/2 6570 6785-6863/2 6868 6885 6887 7119-7127 8065-8068 8312-8348/2 20050"
 )
+UNIT_CODES = {  # codes by meters per unit
+    SURVEY_FOOT: SURVEY_FOOT_CODES,
+    FOOT: FOOT_CODES,
+    0.3047972654: "2314 3407 5589 24100",  # feet of Clarke, of the Gold Coast, of Sears
+    0.304799710182: "2136 2159-2160",
+    0.304799471539: "29872",
+    0.914398530744: "24370-24374 24382",  # yards of India, of Sears, of Clarke
+    0.914398414616: "27291-27292",
+    0.9143917962: "5472",
+    0.201166195164: "2066 30200",  # links
+    0.201168: "3139-3140",
+    20.116756: "3167",  # chains
+    20.116782494376: "24571",
+    20.116765121553: "29871",
+    1.0000135965: "29371-29385",  # German legal meters
+    1000.0: "22300",
+}
 GEOGRAPHIC_CODES = frozenset({4258, 4267, 4269, 4283, 4326, 4490, 4612, 4617, 4674, 4979, 6318, 7844, 9000, 9057})
 GRAD_CODES = frozenset({4807, 4810, 4811, 4816, 4819, 4821, 4901, 4902})  # geographic systems in grads
 DEGREES_PER_GRAD = 0.9
@@ -66,9 +83,7 @@ def is_in_ranges(code: int, ranges: str) -> bool:
 
 def unit_of_code(code: int) -> float:
     """Return the meters per unit of a projected system by its EPSG code."""
-    if is_in_ranges(code, SURVEY_FOOT_CODES):
-        return SURVEY_FOOT
-    return FOOT if is_in_ranges(code, FOOT_CODES) else 1.0
+    return next((unit for unit, ranges in UNIT_CODES.items() if is_in_ranges(code, ranges)), 1.0)
 
 
 def unit_of_name(name: str) -> float | None:
