@@ -9,6 +9,7 @@ from photos_models import make_knot, make_rock
 
 from farfield.addon.bridge.geometry.meshes import concatenate_in_world_space, read_instances
 from farfield.addon.bridge.photos.photo_files import read_photograph
+from farfield.addon.bridge.photos.photo_folders import PhotoFolder
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import run_to_end
@@ -46,7 +47,8 @@ def load_model(name: str, data: Path, random: np.random.Generator) -> Unwrapped:
 def load_photographs(data: Path) -> list[Photograph]:
     """Return the photographs of Sceaux."""
     folder = data / "sceaux"
-    return [read_photograph(camera, folder / "images") for camera in read_cameras(folder)]
+    images = PhotoFolder(folder / "images")
+    return [read_photograph(camera, images) for camera in read_cameras(folder)]
 
 
 def read_mesh(path: Path) -> TriangleMesh:

@@ -24,17 +24,21 @@ import numpy as np
 
 from farfield.addon.bridge.geometry.meshes import read_instances
 from farfield.addon.bridge.photos.material_groups import MaterialGroups, assign_to_materials, read_material_groups
-from farfield.addon.bridge.photos.photo_files import apply_mask_file, check_mask_folder, read_photograph, size_reader
+from farfield.addon.bridge.photos.photo_files import check_mask_folder, read_photograph, size_reader
+from farfield.addon.bridge.photos.photo_folders import PhotoFolder, strip_extension
 from farfield.addon.bridge.photos.results import assign_texture, create_textures
 from farfield.addon.bridge.photos.surfaces import read_surface
 from farfield.addon.core.errors import FileError
+from farfield.addon.core.files.far_meshes import near_origin
+from farfield.addon.core.files.filenames import unique_filenames
 from farfield.addon.core.files.outputs import OBJ_COMMENT, Output
 from farfield.addon.core.files.scratch import Scratch
 from farfield.addon.core.geometry.lenses import PhotoCamera
+from farfield.addon.core.geometry.local_origin import describe_coarseness, describe_move
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import StageClock, run_to_end, subprogress
 from farfield.addon.core.messages import format_count
-from farfield.addon.core.photos.importers import read_cameras
+from farfield.addon.core.photos.importers import read_camera_file
 from farfield.addon.core.photos.merging import merge
 from farfield.addon.core.photos.photo_texture import PhotoTexture
 from farfield.addon.core.photos.photographs.photograph import Photograph
@@ -121,19 +125,23 @@ def merge_files(given: Namespace, settings: PhotosSettings, texture: Path, scrat
     """Read cameras, mesh and photographs, merge, write all files, and return the summary."""
     clock = StageClock()
     with clock.stage("cameras"):
-        cameras = read_cameras(given.cameras.absolute(), size_reader(given.images.absolute()))
+        images = PhotoFolder(given.images.absolute())
+        found = read_camera_file(given.cameras.absolute(), size_reader(images))
     with clock.stage("mesh"):
-        objects = read_objects(given.input.absolute(), given.files)
+        objects, origin = read_objects(given.input.absolute(), given.files)
+    cameras = found.cameras if origin is None else [camera.relative_to(origin) for camera in found.cameras]
     with clock.stage("unwrap"):
         unwrapped = unwrap_missing(objects, line)
     instances = read_instances(objects, bpy.context.evaluated_depsgraph_get())
     groups = read_material_groups(objects, instances) if settings.materials == "keep" else None
     surface = read_surface(instances)
-    layout = lay_out_pages(surface.corner_uvs, None if groups is None else groups.triangles)
+    layout = lay_out_pages(surface.corner_uvs, None if groups is None else groups.triangles, keeps_tiles=UDIM in texture.name)
     paths = TexturePaths(texture, layout, None if groups is None else groups.names)
     check_files(given, texture, paths.pages)
+    notes = [*found.notes, describe_coarseness(surface.mesh.vertices) if origin is None else describe_move(origin)]
     with clock.stage("photographs"), mute_stderr():
-        photographs = read_photographs(given, cameras, scratch)
+        photographs, note = read_photographs(given, cameras, images, scratch)
+        notes.append(note)
     refined = []
     if given.refine is not None:
         with clock.stage("refinement"):
@@ -155,36 +163,41 @@ def merge_files(given: Namespace, settings: PhotosSettings, texture: Path, scrat
             write_scene(objects, given.out.absolute())
     if given.report is not None:
         report = build_report(result, [camera.name for camera in cameras], unwrapped, layout, groups, paths.pages, clock) | {
-            "refined": refined
+            "refined": refined,
+            "notes": [*filter(None, notes)],
+            "origin": None if origin is None else origin.tolist(),
         }
         command_line.write_report(given.report.absolute(), report)
+    unused = [camera.name for index, camera in enumerate(cameras) if not (result.source == index).any()]
+    notes.append(f"Not used: {', '.join(unused)}." if unused else "")
     holes = np.count_nonzero(result.holes) / max(np.count_nonzero(result.holes | (result.source >= 0)), 1)
-    summary = f"Merged {len(cameras)} photographs into {texture.name}; {holes:.1%} of the surface is in no photograph."
+    summary = f"Merged {format_count(len(cameras), 'photograph')} into {texture.name}; {holes:.1%} of the surface is in no photograph."
+    summary = " ".join([summary, *filter(None, notes)])
     count = sum(each["problem"] is None for each in refined)
     return f"Refined {count} of {format_count(len(refined), 'camera')}. {summary}" if refined else summary
 
 
-def read_photographs(given: Namespace, cameras: list[PhotoCamera], scratch: Scratch) -> list[Photograph]:
-    """Read the photographs with their masks, each kept in the group of its index."""
-    photographs = []
+def read_photographs(given: Namespace, cameras: list[PhotoCamera], images: PhotoFolder, scratch: Scratch) -> tuple[list[Photograph], str]:
+    """Read the photographs with their masks, each kept in the group of its index; and return a sentence about those without a mask, if only
+    some have one."""
+    masks, note = None, ""
     if given.masks is not None:
-        check_mask_folder(given.masks.absolute(), [camera.name for camera in cameras])
-    for index, camera in enumerate(cameras):
-        photograph = read_photograph(camera, given.images.absolute())
-        if given.masks is not None:
-            photograph = apply_mask_file(photograph, given.masks.absolute())
-        photographs.append(photograph.keep_in(scratch, index))
-    return photographs
+        masks = PhotoFolder(given.masks.absolute())
+        missing = check_mask_folder(masks, [camera.name for camera in cameras])
+        note = f'{format_count(len(missing), "photograph")} without a mask, like "{missing[0]}".' if missing else ""
+    return [read_photograph(camera, images, masks).keep_in(scratch, index) for index, camera in enumerate(cameras)], note
 
 
-def read_objects(path: Path, files: RunFiles) -> list[bpy.types.Object]:
-    """Open the scene and return its meshes, with the axes of the file. Raises FileError if one of its files would be replaced."""
-    scene_files.open_scene(path, files)
+def read_objects(path: Path, files: RunFiles) -> tuple[list[bpy.types.Object], np.ndarray | None]:
+    """Open the scene and return its meshes, with the axes of the file, and the position (3,) from which they were moved to the origin, None
+    if they were not. Raises FileError if one of its files would be replaced."""
+    with near_origin(path) as (near, origin):
+        scene_files.open_scene(near, files)
     objects = scene_files.objects_in_renders([item for item in bpy.context.scene.objects if item.type == "MESH"], path)
     if path.suffix.lower() == ".obj":  # which Blender's importer turns
         for item in objects:
             item.matrix_world.identity()
-    return objects
+    return objects, origin
 
 
 def unwrap_missing(objects: list[bpy.types.Object], line: command_line.ProgressLine) -> list[str]:
@@ -228,15 +241,17 @@ def refine_cameras(
 def write_overlays(mesh: TriangleMesh, photographs: list[Photograph], folder: Path) -> None:
     """Write each photograph with the mesh drawn into it, before merging, which may fail because of what they show."""
     with atomic_folder(folder) as temporary:
-        for photograph in photographs:
-            write_png(temporary / f"{Path(photograph.camera.name).stem}.overlay.png", draw_overlay(mesh, photograph))
+        names = unique_filenames([strip_extension(photograph.camera.name) for photograph in photographs])
+        for name, photograph in zip(names, photographs, strict=True):
+            write_png(temporary / f"{name}.overlay.png", draw_overlay(mesh, photograph))
 
 
 def write_stages(result: PhotoTexture, textures: list[Path], folder: Path) -> None:
     """Write the pictures of the stages: those of photographs, and those of textures for each page, with its name if there are several."""
     with atomic_folder(folder) as temporary:
-        for name, picture in result.stages.items():
-            stem = Path(name).stem.replace(" ", ".")
+        kinds = [name.partition(" ") for name in result.stages]
+        stems = unique_filenames([f"{kind}.{strip_extension(name)}".rstrip(".").replace(" ", ".") for kind, _, name in kinds])
+        for stem, picture in zip(stems, result.stages.values(), strict=True):
             if picture.shape != result.colors.shape or len(textures) == 1:
                 write_png(temporary / f"{stem}.png", picture)
                 continue

@@ -210,7 +210,7 @@ def test_what_cannot_be_read_is_one_sentence(tmp_path):
     with pytest.raises(FileError, match=r"not an interface file of OpenMVS"):
         read_cameras(tmp_path / "scene.mvs", lambda _: SIZE)
     write_meshroom(tmp_path / "a.sfm", {"type": "pinhole", "distortionType": "3deanamorphic4", "principalPoint": ["0", "0"]})
-    with pytest.raises(FileError, match=r"lens of the type"):
+    with pytest.raises(FileError, match=r"lens is of the type"):
         read_cameras(tmp_path / "a.sfm")
     write_nvm(tmp_path / "empty.nvm")
     (tmp_path / "empty.nvm").write_text("NVM_V3\n0\n", encoding="utf-8")

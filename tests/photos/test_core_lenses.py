@@ -12,7 +12,8 @@ SIZE = (640, 480)
 COEFFICIENTS = {  # typical deviations of the coefficients of each model
     "SIMPLE_PINHOLE": (), "PINHOLE": (), "SIMPLE_RADIAL": (0.1,), "RADIAL": (0.1, 0.03), "OPENCV": (0.1, 0.03, 0.003, 0.003),
     "OPENCV_FISHEYE": (0.05, 0.01, 0.005, 0.001), "FULL_OPENCV": (0.1, 0.03, 0.003, 0.003, 0.01, 0.02, 0.01, 0.005), "FOV": (0.3,),
-    "INVERSE_RADIAL": (0.1,), "SIMPLE_RADIAL_FISHEYE": (0.05,), "RADIAL_FISHEYE": (0.05, 0.01),
+    "INVERSE_RADIAL": (0.1,), "METASHAPE": (0.1, 0.03, 0.003, 0.003, 0.01, 0.005, 0.002),
+    "SIMPLE_RADIAL_FISHEYE": (0.05,), "RADIAL_FISHEYE": (0.05, 0.01),
     "THIN_PRISM_FISHEYE": (0.05, 0.01, 0.002, 0.002, 0.005, 0.001, 0.002, 0.002),
 }  # fmt: skip
 

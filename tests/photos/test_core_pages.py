@@ -54,6 +54,19 @@ class TestLayout:
         layout = lay_out_pages(uvs)
         assert not layout.is_tiled and layout.tiles == (1001,) and np.array_equal(layout.corner_uvs, uvs) and not layout.pages.any()
 
+    @pytest.mark.parametrize("cell", [(0, 1), (3, 0), (-1, 0), (0, -2), (12, 0)])
+    def test_uvs_in_one_other_square_are_moved_as_images_repeat(self, cell):
+        """Only those in a tile stay there, where tiles are asked for; each group by itself."""
+        _, uvs = grid(7)
+        moved, is_tile = uvs + np.array(cell, np.float32), min(cell) >= 0 and cell[0] < 10
+        layout = lay_out_pages(moved, keeps_tiles=False)
+        assert layout.tiles == (1001,) and layout.corner_uvs == pytest.approx(uvs, abs=1e-5)
+        assert lay_out_pages(moved).tiles == ((1001 + cell[0] + 10 * cell[1],) if is_tile else (1001,))
+        groups = np.repeat([0, 1], len(uvs))
+        both = lay_out_pages(np.concatenate([uvs, moved]), groups, keeps_tiles=False)
+        assert both.tiles == (1001, 1001) and both.groups == (0, 1)
+        assert lay_out_pages(np.concatenate([uvs, moved]), keeps_tiles=False).is_tiled == is_tile
+
     def test_rounding_errors_and_what_is_outside_make_no_page(self):
         """A face at the edge, one with a negative centroid and one in the eleventh column go to the nearest tile; degenerate faces of a
         group alone are nowhere."""

@@ -99,6 +99,18 @@ def test_stages_are_pictures(folder):
     assert (photographed[holes] == 0).all() and np.array_equal(photographed[~holes], interpolated[~holes])
 
 
+def test_photographs_of_one_name_in_several_folders_have_pictures_of_their_own(folder):
+    for index in range(3):
+        (folder / "images" / f"{index}").mkdir()
+        (folder / "images" / f"{index}.png").rename(folder / "images" / f"{index}" / "a.0001.png")
+    write_cameras(folder / "named", [replace(camera, name=f"{index}\\a.0001") for index, camera in enumerate(ring(3))])
+    arguments = ("--images", folder / "images", "--size", 32, "--texture", folder / "t.png")
+    message = run(folder / "with uvs.obj", "--cameras", folder / "named", *arguments, "--stages", folder / "s", "--overlays", folder / "o")
+    assert message.startswith("Merged 3 photographs")
+    assert sorted(path.name for path in (folder / "o").iterdir()) == [f"a.0001{each}.overlay.png" for each in ("", "_2", "_3")]
+    assert {path.name for path in (folder / "s").glob("used.*")} == {f"used.a.0001{each}.png" for each in ("", "_2", "_3")}
+
+
 def test_cameras_are_refined(folder):
     mesh, uvs = grid(10, lambda x, y: 0.1 * np.sin(2 * x + y))
     cameras = ring(3)

@@ -102,6 +102,26 @@ def test_a_file_per_tile(inputs, tmp_path, extension):
         assert np.sqrt(np.mean((colors - smooth_texture()[half].repeat(2, axis=1)[8:-8, 8:-8]) ** 2)) < 0.02
 
 
+def test_a_single_tile_without_a_placeholder_is_an_image_that_repeats(inputs, tmp_path):
+    """V from 1 to 2: the texture is that of the square from 0 to 1, and the UVs stay as they are."""
+    mesh, uvs = grid(10)
+    lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in mesh.vertices] + [f"vt {u:.9g} {v + 1.0:.9g}" for u, v in uvs.reshape(-1, 2)]
+    lines += ["f " + " ".join(f"{c}/{3 * index + k + 1}" for k, c in enumerate(row)) for index, row in enumerate(mesh.triangles + 1)]
+    (tmp_path / "helmet.obj").write_text("\n".join(lines), encoding="utf-8")
+    out = tmp_path / "out.glb"
+    run(tmp_path / "helmet.obj", *inputs, "--texture", tmp_path / "t.png", "--out", out)
+    found = read_image(tmp_path / "t.png")[0][::-1].astype(np.float32) / 255.0
+    assert np.sqrt(np.mean((found - smooth_texture())[8:-8, 8:-8] ** 2)) < 0.02
+    photos.scene_files.open_scene(out)
+    [item] = [item for item in bpy.context.scene.objects if item.type == "MESH"]
+    stored = read_uvs(item.data.uv_layers[0])
+    assert stored[:, 1].min() == pytest.approx(1.0, abs=1e-5) and stored[:, 1].max() == pytest.approx(2.0, abs=1e-5)
+    [node] = [node for node in item.material_slots[0].material.node_tree.nodes if node.type == "TEX_IMAGE"]
+    assert node.extension == "REPEAT"
+    run(tmp_path / "helmet.obj", *inputs, "--texture", tmp_path / "u.<UDIM>.png")
+    assert (tmp_path / "u.1011.png").is_file()
+
+
 def test_a_file_per_material(inputs, tmp_path):
     mesh, report = write_obj(tmp_path / "mesh.obj", 0.0, materials=True), tmp_path / "report.json"
     out, texture = tmp_path / "out.blend", tmp_path / "t.<MATERIAL>.png"

@@ -9,8 +9,10 @@ import mathutils
 import numpy as np
 
 from ...core.errors import FileError, SettingsError
+from ...core.files.far_meshes import near_origin
+from ...core.files.file_access import check_readable
 from ...core.geometry.lenses import Lens, PhotoCamera
-from .photo_files import find_photograph
+from .photo_folders import PhotoFolder, strip_extension
 from .scene_cameras import TO_PHOTO_AXES, find_background, has_photograph, read_lens, store_lens
 
 SENSOR_SIZE = 36.0  # millimeters, along the side that the sensor spans
@@ -39,9 +41,9 @@ def create_cameras(
     collection.objects.link(parent)
     parent.rotation_euler.x = 0.5 * math.pi if is_y_up else 0.0
     diagonal = float(np.linalg.norm(np.ptp([camera.position for camera in cameras], axis=0)))
-    missing = 0
+    missing, photographs = 0, PhotoFolder(folder)
     for camera in cameras:
-        image, is_found = _open_photograph(camera.name, folder)
+        image, is_found = _open_photograph(camera.name, photographs)
         missing += not is_found
         item = _create_camera(camera, image, scene)
         if diagonal > 0.0:
@@ -51,6 +53,20 @@ def create_cameras(
         collection.objects.link(item)
     parent.empty_display_size = max(2.0 * DISPLAY_FRACTION * diagonal, 1e-3) if diagonal > 0.0 else 1.0
     return parent, missing
+
+
+def import_mesh(path: Path, *, is_y_up: bool) -> np.ndarray | None:
+    """Import an .obj or .ply file with its own axes, or turned like cameras in `create_cameras`. Returns the position (3,) from which it
+    was moved to the origin, because its coordinates are too large for single precision, otherwise None. Raises FileError."""
+    forward, up = ("NEGATIVE_Z", "Y") if is_y_up else ("Y", "Z")
+    importer = bpy.ops.wm.obj_import if path.suffix.lower() == ".obj" else bpy.ops.wm.ply_import
+    with near_origin(path) as (near, origin):
+        check_readable(path)
+        try:
+            importer(filepath=str(near), forward_axis=forward, up_axis=up)
+        except RuntimeError as error:  # raised by Blender's operators
+            raise FileError(f'Blender cannot read "{path}"; export it again.') from error
+    return origin
 
 
 def place_registered_camera(camera: PhotoCamera, image: bpy.types.Image, scene: bpy.types.Scene) -> bpy.types.Object:
@@ -120,7 +136,7 @@ def move_camera(item: bpy.types.Object, given: PhotoCamera, refined: PhotoCamera
 
 
 def _create_camera(camera: PhotoCamera, image: bpy.types.Image, scene: bpy.types.Scene) -> bpy.types.Object:
-    name = Path(camera.name).stem
+    name = strip_extension(camera.name)
     data = bpy.data.cameras.new(name)
     show_lens(data, camera.lens, scene)
     focal_x, focal_y = camera.lens.focal
@@ -140,12 +156,12 @@ def _world_matrix(camera: PhotoCamera) -> mathutils.Matrix:
     return mathutils.Matrix(matrix.tolist())
 
 
-def _open_photograph(name: str, folder: Path) -> tuple[bpy.types.Image, bool]:
+def _open_photograph(name: str, folder: PhotoFolder) -> tuple[bpy.types.Image, bool]:
     """Return a new image that loads a photograph when it is needed, and whether its file was found."""
     try:
-        path, is_found = find_photograph(folder, name), True
+        path, is_found = folder.find_photograph(name), True
     except FileError:
-        path, is_found = folder / name, False
+        path, is_found = folder.folder / name, False
     image = bpy.data.images.load(str(path)) if is_found else bpy.data.images.new(path.name, 1, 1)
     if not is_found:
         image.source = "FILE"

@@ -1,33 +1,60 @@
-"""Photographs and their masks read from files."""
+"""Photographs and their masks read from files.
+
+Pixels are as stored, because programs that align photographs ignore the orientation in the EXIF data. Where the size of a camera or a mask
+says that its program has applied it, by an exchange of width and height, it is applied here, too.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 
 from ...core.errors import FileError, ImageError
 from ...core.geometry.lenses import PhotoCamera
 from ...core.photos.photographs.photograph import Photograph
-from ..imaging.image_files import EXTENSIONS, read_image_file, read_image_size
+from ..imaging.image_files import read_image_file, read_image_size
+from .photo_folders import PhotoFolder
 
 MIN_USABLE = 0.5  # gray level of a mask from which a pixel is usable
+TURNS = {  # by orientation in the EXIF data, those that exchange width and height: arrays, row 0 at the top, to upright ones
+    5: lambda stored: stored.swapaxes(0, 1),
+    6: lambda stored: np.rot90(stored, -1),
+    7: lambda stored: stored[::-1, ::-1].swapaxes(0, 1),
+    8: np.rot90,
+}
+INVERSES = {5: 5, 6: 8, 7: 7, 8: 6}
 
 
-def read_photograph(camera: PhotoCamera, folder: Path) -> Photograph:
-    """Read the photograph of `camera` in `folder`, where its name may have another extension. 8-bit pixels stay as they are. Raises
-    FileError if there is no such file, or it cannot be read, and ImageError if it is gray with alpha, or its size is not that of the
-    camera."""
-    return read_photograph_file(camera, find_photograph(folder, camera.name))
+def read_photograph(camera: PhotoCamera, folder: PhotoFolder, masks: PhotoFolder | None = None) -> Photograph:
+    """Read the photograph of `camera` and its mask, if `masks` has one. 8-bit pixels stay as they are.
+
+    Raises:
+        FileError: there is no such photograph, or a file cannot be read.
+        ImageError: it is gray with alpha, its size is not that of the camera, or its mask has another size.
+    """
+    photograph, turn = _read(camera, folder.find_photograph(camera.name))
+    mask = None if masks is None else masks.find_mask(camera.name)
+    return photograph if mask is None else _apply_mask(photograph, mask, turn)
 
 
 def read_photograph_file(camera: PhotoCamera, path: Path) -> Photograph:
     """Read the photograph of `camera` from a file; see `read_photograph`."""
+    return _read(camera, path)[0]
+
+
+def _read(camera: PhotoCamera, path: Path) -> tuple[Photograph, Callable[[np.ndarray], np.ndarray] | None]:
+    """Return a photograph and what turns a mask with exchanged width and height to it, None if nothing does."""
     image = read_image_file(path)
+    orientation = image.spec.get_int_attribute("Orientation", 1)
     is_8_bit = image.stored.dtype == np.uint8 and not image.storage.has_alpha
     pixels, mask = image.stored[::-1] if is_8_bit else image.pixels, None
+    turn = TURNS.get(INVERSES.get(orientation, 1))
+    if orientation in TURNS and camera.lens.size == pixels.shape[:2] != pixels.shape[1::-1]:
+        turn = TURNS[orientation]
+        pixels = turn(pixels[::-1])[::-1]
     if image.storage.has_alpha:
-        mask = image.pixels[..., -1] >= 0.5
+        mask = pixels[..., -1] >= 0.5
         pixels = pixels[..., :-1]
     if pixels.shape[2] == 1:
         pixels = pixels.repeat(3, axis=2)
@@ -35,54 +62,33 @@ def read_photograph_file(camera: PhotoCamera, path: Path) -> Photograph:
         raise ImageError(f'"{path}" has {pixels.shape[2]} color channels; save it with one or three.')
     photograph = Photograph(camera, np.ascontiguousarray(pixels), mask)
     photograph.check()
-    return photograph
+    return photograph, turn
 
 
-def size_reader(folder: Path) -> Callable[[str], tuple[int, int]]:
+def size_reader(folder: PhotoFolder) -> Callable[[str], tuple[int, int]]:
     """Return a function from the name of a photograph in `folder` to its width and height, for cameras whose file does not contain them."""
-    return lambda name: read_image_size(find_photograph(folder, name))
+    return lambda name: read_image_size(folder.find_photograph(name))
 
 
-def find_photograph(folder: Path, name: str) -> Path:
-    """Return the path of the photograph `name` in `folder`, where it may lie without its folders or have another extension. Raises
-    FileError if there is no such file."""
-    found = _find_file(folder, name, lambda path: [path, *(path.with_suffix(extension) for extension in EXTENSIONS)])
-    if found is None:
+def check_mask_folder(folder: PhotoFolder, names: list[str]) -> list[str]:
+    """Return those of the photographs `names` that have no mask in `folder`. Raises FileError if none has one."""
+    missing = [name for name in names if folder.find_mask(name) is None]
+    if len(missing) == len(names):
         raise FileError(
-            f'There is no photograph "{name}" in "{folder}"; name the folder with the images that the cameras were computed from.'
+            f'There is no mask of a photograph in "{folder.folder}"; name the masks like the photographs, '
+            f'"{PurePosixPath(names[0]).stem}.png".'
         )
-    return found
+    return missing
 
 
-def _find_file(folder: Path, name: str, find_candidates: Callable[[Path], list[Path]]) -> Path | None:
-    """Return the first candidate for the path of `name` in `folder`, with or without its folders, that is a file."""
-    paths = (folder / name, folder / Path(name).name)
-    return next((candidate for path in paths for candidate in find_candidates(path) if candidate.is_file()), None)
-
-
-def find_mask(folder: Path, name: str) -> Path | None:
-    """Return the mask `NAME.jpg.png` or `NAME.png` of the photograph `name`, which may lie without its folders, None if there is none."""
-    return _find_file(folder, name, lambda path: [path.with_name(f"{path.name}.png"), path.with_suffix(".png")])
-
-
-def check_mask_folder(folder: Path, names: list[str]) -> None:
-    """Check that `folder` holds a mask of at least one of the photographs `names`. Raises FileError."""
-    if not any(find_mask(folder, name) for name in names):
-        raise FileError(
-            f'There is no mask of a photograph in "{folder}"; name the masks like the photographs, "{Path(names[0]).stem}.png".'
-        )
-
-
-def apply_mask_file(photograph: Photograph, folder: Path) -> Photograph:
-    """Return the photograph without the pixels that are darker than middle gray in its mask in `folder`; as it is if it has no mask there.
-    Raises FileError if the mask cannot be read, and ImageError if it has another size than the photograph."""
-    path = find_mask(folder, photograph.camera.name)
-    if path is None:
-        return photograph
+def _apply_mask(photograph: Photograph, path: Path, turn: Callable[[np.ndarray], np.ndarray] | None) -> Photograph:
+    """Return the photograph without the pixels that are darker than middle gray in the mask `path`."""
     image = read_image_file(path, is_color=False)
     colors = image.pixels[..., :-1] if image.storage.has_alpha else image.pixels
     usable = colors.mean(axis=2) >= MIN_USABLE
     height, width = photograph.pixels.shape[:2]
+    if turn is not None and usable.shape == (width, height) != (height, width):
+        usable = turn(usable[::-1])[::-1]
     if usable.shape != (height, width):
         raise ImageError(
             f'The mask "{path}" has {usable.shape[1]} x {usable.shape[0]} pixels, but its photograph {width} x {height}; '

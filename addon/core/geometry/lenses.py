@@ -17,6 +17,10 @@ ITERATIONS = 50
 MAX_RESIDUAL = 1e-12  # Difference of tangents at which the inverse has converged.
 DERIVATIVE_STEP = 1e-6
 RADII = np.tan(np.linspace(0.0, 0.5 * np.pi, 4097)[:-1])  # Tangents where growth of the distorted radius is checked.
+MAX_SIDE = 100_000  # pixels of a photograph
+MIN_FOCAL, MAX_FOCAL = 1e-3, 1e5  # relative to the longer side: wider than any fisheye, and longer than any telescope
+MAX_CENTER = 100.0  # distance from the upper left corner, relative to the longer side
+MAX_COEFFICIENT = 1e12  # those of high powers are large if the field of view is small
 MIN_RADIUS = 1e-9  # below, the direction of a tangent does not matter
 
 Distortion = Callable[[np.ndarray, np.ndarray, tuple[float, ...]], tuple[np.ndarray, np.ndarray]]
@@ -48,9 +52,18 @@ def _distort_full_opencv(u: np.ndarray, v: np.ndarray, coefficients: tuple[float
     k1, k2, p1, p2, k3, k4, k5, k6 = coefficients
     square = u * u + v * v
     numerator = 1.0 + square * (k1 + square * (k2 + square * k3))
-    factor = numerator / (1.0 + square * (k4 + square * (k5 + square * k6)))
+    denominator = 1.0 + square * (k4 + square * (k5 + square * k6))
+    factor = numerator / np.where(np.abs(denominator) > MIN_RADIUS, denominator, MIN_RADIUS)
     tangential = _shift_tangentially(u, v, p1, p2)
     return u * factor + tangential[0], v * factor + tangential[1]
+
+
+def _distort_metashape(u: np.ndarray, v: np.ndarray, coefficients: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """k1, k2, p1, p2, k3, k4, b: four powers of the radius; the skew b moves rows sideways."""
+    k1, k2, p1, p2, k3, k4, skew = coefficients
+    radial, tangential = _scale_radially(u, v, (k1, k2, k3, k4)), _shift_tangentially(u, v, p1, p2)
+    x, y = radial[0] + tangential[0], radial[1] + tangential[1]
+    return x + skew * y, y
 
 
 def _to_angles(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -122,6 +135,7 @@ MODELS = {
     "RADIAL_FISHEYE": LensModel(True, 2, _distort_fisheye),
     "THIN_PRISM_FISHEYE": LensModel(False, 8, _distort_thin_prism),
     "INVERSE_RADIAL": LensModel(True, 1, _distort_inversely),  # VisualSFM has it, COLMAP does not.
+    "METASHAPE": LensModel(False, 7, _distort_metashape),
 }
 
 
@@ -147,7 +161,7 @@ class Lens:
         """Check the model.
 
         Raises:
-            FileError: it is unknown or has another number of coefficients, or numbers are not usable.
+            FileError: it is unknown or has another number of coefficients, or numbers are not finite or those of no lens.
         """
         if self.model not in MODELS:
             raise FileError(f'The lens model "{self.model}" is unknown; Farfield knows {", ".join(MODELS)}.')
@@ -156,9 +170,16 @@ class Lens:
             raise FileError(
                 f'The lens model "{self.model}" has {count} coefficients, not {len(self.coefficients)}; export the cameras again.'
             )
-        numbers = np.array([*self.focal, *self.center, *self.coefficients])
-        if not np.isfinite(numbers).all() or min(self.focal) <= 0.0 or min(self.size) < 1:
-            raise FileError("A lens has no size, no focal length, or numbers that are not finite; export the cameras again.")
+        side = max(self.size)
+        is_usable = (
+            min(self.size) >= 1
+            and side <= MAX_SIDE
+            and all(MIN_FOCAL * side <= focal <= MAX_FOCAL * side for focal in self.focal)
+            and all(abs(center) <= MAX_CENTER * side for center in self.center)
+            and all(abs(coefficient) <= MAX_COEFFICIENT for coefficient in self.coefficients)
+        )
+        if not is_usable:  # no comparison holds for what is not a number
+            raise FileError("A lens has no size, no focal length, or numbers that are not finite or too large; export the cameras again.")
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Project `points` (N, 3) in camera space.

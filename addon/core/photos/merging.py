@@ -322,4 +322,7 @@ def _explain_blindness(mesh: TriangleMesh, photographs: list[Photograph], is_pap
             "No photograph shows a triangle wholly, without the silhouette of the mesh; subdivide the mesh, or choose another method than "
             "Paper."
         )
-    return "No photograph shows the front of a face; flip the normals of the mesh, or check the masks of the photographs."
+    return (
+        "No photograph shows the front of a face; flip the normals of the mesh, check the masks of the photographs, or export cameras and "
+        "mesh with the same coordinate system."
+    )

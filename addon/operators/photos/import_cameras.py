@@ -4,16 +4,20 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import bpy
+import numpy as np
 
-from ...bridge.photos.camera_objects import create_cameras, set_render_size
+from ...bridge.photos.camera_objects import create_cameras, import_mesh, set_render_size
 from ...bridge.photos.photo_files import size_reader
+from ...bridge.photos.photo_folders import PhotoFolder
 from ...bridge.photos.photo_images import is_missing
 from ...bridge.photos.scene_cameras import find_background
 from ...core.errors import FarfieldError, FileError
-from ...core.files.file_access import check_unicode
+from ...core.files.far_meshes import EXTENSIONS as MESH_EXTENSIONS
+from ...core.files.file_access import check_unicode, convert_os_errors
+from ...core.geometry.local_origin import describe_move, find_local_origin
 from ...core.jobs.progress import run_to_end
 from ...core.messages import format_count
-from ...core.photos.importers import read_cameras
+from ...core.photos.importers import read_camera_file
 from .. import long_work
 from ..error_reports import report_message, reports_errors
 from ..job_run import run_job
@@ -21,6 +25,7 @@ from .previews import FARFIELD_OT_photos_draw_overlays, OverlayJob
 from .sources import open_photographs, read_targets, selected_meshes
 
 COLLECTION_NAME = "Photo Cameras"
+ORIGIN_PROPERTY = "farfield_origin"  # custom property of the Empty: the position in the file that is at its origin
 IMAGES_FOLDER = "images"  # searched for next to the cameras and in the two folders above
 MODEL_FILES = {"cameras", "images", "points3D", "frames", "rigs"}  # files of COLMAP with these extensions, whose folder is read
 MODEL_EXTENSIONS = {".txt", ".bin"}
@@ -40,6 +45,13 @@ class FARFIELD_OT_photos_import_cameras(bpy.types.Operator):
             name="Images",
             description="Folder of the photographs. By default the folder images next to the cameras or above them",
             subtype="DIR_PATH",
+            options={"SKIP_SAVE"},
+        ),
+        "mesh": bpy.props.StringProperty(
+            name="Mesh",
+            description="An .obj or .ply file in the coordinates of the cameras, to import it with them. Where these are too large for "
+            "single precision, such as those of maps, both are moved to the origin",
+            subtype="FILE_PATH",
             options={"SKIP_SAVE"},
         ),
         "y_up": bpy.props.BoolProperty(
@@ -65,18 +77,31 @@ class FARFIELD_OT_photos_import_cameras(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Read the cameras and create objects for them."""
         path = _absolute(self.filepath)
-        folder = _absolute(self.images) if self.images else find_images(path if path.is_dir() else path.parent)
-        is_model = path.stem in MODEL_FILES and path.suffix.lower() in MODEL_EXTENSIONS and path.is_file()
-        cameras = read_cameras(path.parent if is_model else path, size_reader(folder))
+        mesh = _absolute(self.mesh) if self.mesh else None
+        if mesh is not None and mesh.suffix.lower() not in MESH_EXTENSIONS:
+            raise FileError(f'The mesh "{mesh.name}" is none of {" ".join(MESH_EXTENSIONS)}; convert it, or import it with Blender.')
+        with convert_os_errors(f'Cannot read "{path}"'):
+            folder = _absolute(self.images) if self.images else find_images(path if path.is_dir() else path.parent)
+            is_model = path.stem in MODEL_FILES and path.suffix.lower() in MODEL_EXTENSIONS and path.is_file()
+        found = read_camera_file(path.parent if is_model else path, size_reader(PhotoFolder(folder)))
+        if mesh is None:
+            origin = find_local_origin(np.array([camera.position for camera in found.cameras]))
+        else:
+            origin = import_mesh(mesh, is_y_up=self.y_up)
+        cameras = found.cameras if origin is None else [camera.relative_to(origin) for camera in found.cameras]
         if self.set_render_size:
             set_render_size(context.scene, cameras[0].lens.size)
         parent, missing = create_cameras(cameras, folder, COLLECTION_NAME, context.scene, is_y_up=self.y_up)
         if context.scene.camera is None:
             context.scene.camera = parent.children[0]
-        message = f"Imported {format_count(len(cameras), 'camera')}."
+        message, level = " ".join([f"Imported {format_count(len(cameras), 'camera')}.", *found.notes]), "WARNING" if found.notes else "INFO"
+        if origin is not None:
+            parent[ORIGIN_PROPERTY] = origin.tolist()
+            message += f" {describe_move(origin, 'Cameras' if mesh is None else 'Mesh and cameras')}"
+        if origin is not None and mesh is None:
+            message, level = f"{message} Choose the file of the mesh as Mesh, too, or move the mesh alike.", "WARNING"
         if missing:
-            message += f' {format_count(missing, "photograph")} not found in "{folder}".'
-        level = "WARNING" if missing else "INFO"
+            message, level = f'{message} {format_count(missing, "photograph")} not found in "{folder}".', "WARNING"
         if self.draw_overlays:
             try:
                 message += _draw_overlays(context, parent.children)

@@ -15,6 +15,7 @@ from ...bridge.photos.surfaces import check_separate_uvs, read_surface, select_f
 from ...core.errors import GeometryError
 from ...core.files.scratch import Scratch
 from ...core.geometry.cameras import CameraProjection
+from ...core.geometry.local_origin import describe_coarseness
 from ...core.geometry.mesh import face_areas_and_normals
 from ...core.geometry.transforms import signed_areas
 from ...core.jobs.progress import Progress, Steps, subprogress
@@ -85,6 +86,7 @@ class MergeJob:
             GeometryError: an object was removed or edited in the meantime; nothing was changed.
         """
         unwrapped, layout, texture = core_result
+        coarseness = describe_coarseness(concatenate_in_world_space(self.instances).vertices)
         yield Progress(0.0, "Creating the texture")
         objects = [self._find_target(*target) for target in self.targets]
         if self.unwrapping is not None:
@@ -102,7 +104,7 @@ class MergeJob:
         if self.has_maps:
             yield Progress(0.6, "Creating the maps")
             create_maps(layout, texture, names, len(self.sources))
-        return self._summarize([image.name for image in images.values()], texture) + notes
+        return " ".join(filter(None, [self._summarize([image.name for image in images.values()], texture) + notes, coarseness]))
 
     def _find_target(self, uid: int, name: str) -> bpy.types.Object:
         item = find_by_uid(bpy.data.objects, uid)

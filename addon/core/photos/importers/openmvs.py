@@ -7,6 +7,7 @@ import numpy as np
 
 from ...errors import FileError
 from ...geometry.lenses import Lens, PhotoCamera
+from .camera_notes import UNUSED_MASKS, CameraNotes
 from .reading import BinaryReader, ReadSize, check_rotation, read_file
 
 SIGNATURE = b"MVSI"
@@ -28,7 +29,7 @@ class _Mount:
     position: np.ndarray
 
 
-def read_openmvs(path: Path, read_size: ReadSize) -> list[PhotoCamera]:
+def read_openmvs(path: Path, read_size: ReadSize, notes: CameraNotes) -> list[PhotoCamera]:
     """Read the cameras of all images with a pose.
 
     read_size: returns width and height of a photograph; called if the file does not contain them.
@@ -48,8 +49,8 @@ def read_openmvs(path: Path, read_size: ReadSize) -> list[PhotoCamera]:
     cameras = []
     for _ in range(reader.read_count(20)):
         name = reader.read_counted_text()
-        if version > 4:
-            reader.read_counted_text()  # name of the mask
+        if version > 4 and reader.read_counted_text():  # name of the mask
+            notes.remark(UNUSED_MASKS)
         platform_id, camera_id, pose_id = reader.read("III")
         if version > 2:
             reader.read("I")  # ID of the image
@@ -63,7 +64,6 @@ def read_openmvs(path: Path, read_size: ReadSize) -> list[PhotoCamera]:
         to_camera = mount.rotation @ rotation
         center = rotation.T @ mount.position + position
         check_rotation(to_camera, center)
-        name = name.replace("\\", "/")
         cameras.append(PhotoCamera(name, _build_lens(mount, name, read_size), to_camera, -to_camera @ center))
     return cameras
 

@@ -9,12 +9,13 @@ import numpy as np
 from ...errors import FileError
 from ...geometry.lenses import PhotoCamera
 from ..registration.registration import register
+from .camera_notes import CameraNotes
 from .reading import ReadSize, read_text_lines
 
 NUMBERS = 5  # x, y, z, column and row
 
 
-def read_pairs(path: Path, read_size: ReadSize) -> list[PhotoCamera]:
+def read_pairs(path: Path, read_size: ReadSize, _notes: CameraNotes) -> list[PhotoCamera]:
     """Register all photographs in a file, in the order in which they appear.
 
     read_size: returns width and height of a photograph.

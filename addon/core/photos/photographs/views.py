@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
 
+from ...errors import FileError
 from ...files.scratch import Scratch
 from ...geometry.lenses import PhotoCamera
 from ...geometry.mesh import TriangleMesh
@@ -23,6 +24,7 @@ DEPTH_TOLERANCE = 1e-3  # relative
 STEP_FACTOR = 3.0  # how much deeper than the tangent plane a neighbor must be to count as something else behind
 MAX_TANGENT = 4.0  # limits the field of view of the depth buffer
 MIN_TRUST = 0.4  # the trust of two photographs that contradict each other is 0.5
+MAX_FRAME_RATIO = 30.0  # pixels of the pinhole image to those of the photograph: a fisheye lens of 180 degrees reaches 7
 BORDER_PIXELS = 32  # weights rise over this distance from the frame or a mask
 
 
@@ -193,12 +195,15 @@ def _border_quality(positions: np.ndarray, size: tuple[int, int], border: np.nda
 
 
 def find_frame(camera: PhotoCamera) -> tuple[np.ndarray, tuple[int, int]]:
-    """Return the smallest tangents (2,) of what the photograph shows, and the size in pixels of a pinhole image of it."""
+    """Return the smallest tangents (2,) of what the photograph shows, and the size in pixels of a pinhole image of it. Raises FileError if
+    it would be much larger than the photograph, which no lens causes."""
     width, height = camera.lens.size
     x, y = np.linspace(0.0, width, 65), np.linspace(0.0, height, 65)
     outline = np.concatenate([np.stack(np.broadcast_arrays(a, b), axis=1) for a, b in ((x, 0.0), (x, height), (0.0, y), (width, y))])
     directions = camera.lens.unproject(outline)
     tangents = np.clip(directions[:, :2] / np.maximum(directions[:, 2:], 1.0 / MAX_TANGENT**2), -MAX_TANGENT, MAX_TANGENT)
     low, high = tangents.min(axis=0), tangents.max(axis=0)
-    size = np.ceil((high - low) * float(np.mean(camera.lens.focal))).astype(int) + 1
-    return low, (int(size[0]), int(size[1]))
+    size = np.ceil((high - low) * float(np.mean(camera.lens.focal))) + 1.0
+    if not size.prod() <= MAX_FRAME_RATIO * (width + 1) * (height + 1):
+        raise FileError(f'The lens of the photograph "{camera.name}" has numbers that no lens has; export the cameras again.')
+    return low, (max(int(size[0]), 2), max(int(size[1]), 2))

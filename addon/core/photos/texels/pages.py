@@ -48,20 +48,23 @@ class PageLayout:
         return any(tile != FIRST_TILE for tile in self.tiles)
 
 
-def lay_out_pages(corner_uvs: np.ndarray, groups: np.ndarray | None = None) -> PageLayout:
+def lay_out_pages(corner_uvs: np.ndarray, groups: np.ndarray | None = None, *, keeps_tiles: bool = True) -> PageLayout:
     """Give each group and each UDIM tile that it uses a page.
 
     A triangle belongs to the tile with its centroid, or to the nearest one if that is no tile or hardly used: UVs left of or below 0, or
-    in an eleventh column, have no texels.
+    in an eleventh column, have no texels. A group whose UVs are all in one unit square outside of the tiles is moved to tile 1001, since
+    images repeat.
 
     Args:
         corner_uvs: (T, 3, 2). groups: (T,) int, 0 or more; all triangles are one group by default.
+        keeps_tiles: False moves groups in one other tile than 1001 there, too.
 
     Raises:
         GeometryError: there are more than MAX_PAGES pages.
     """
     uvs = corner_uvs.astype(np.float64)
     groups = np.zeros(len(uvs), np.int64) if groups is None else groups.astype(np.int64)
+    _move_to_first_tile(uvs, groups, keeps_tiles)
     centroids = uvs.mean(axis=1)
     limits = np.array([TILE_COLUMNS, TILE_ROWS])
     is_inside = ((centroids >= 0.0) & (centroids < limits)).all(axis=1)
@@ -87,6 +90,19 @@ def lay_out_pages(corner_uvs: np.ndarray, groups: np.ndarray | None = None) -> P
     origins = np.vstack([used_cells, [0, 0]])[pages]  # the last one is that of no page
     tiles = FIRST_TILE + used_cells[:, 0] + TILE_COLUMNS * used_cells[:, 1]
     return PageLayout((uvs - origins[:, None]).astype(np.float32), pages, tuple(used_groups.tolist()), tuple(tiles.tolist()))
+
+
+def _move_to_first_tile(uvs: np.ndarray, groups: np.ndarray, keeps_tiles: bool) -> None:
+    """Move `uvs` (T, 3, 2) of groups in one unit square to that from 0 to 1, in place; with `keeps_tiles` only if it is no tile."""
+    if uvs.min(initial=0.0) >= 0.0 and uvs.max(initial=1.0) <= 1.0:
+        return
+    cells, areas = np.floor(uvs.mean(axis=1)), np.abs(signed_areas(uvs))
+    for group in np.unique(groups):
+        own = np.flatnonzero(groups == group)
+        found, rows = np.unique(cells[own], axis=0, return_inverse=True)
+        used = found[np.bincount(rows.ravel(), areas[own], len(found)) >= MIN_TILE_AREA]
+        if len(used) == 1 and not (keeps_tiles and ((used[0] >= 0) & (used[0] < (TILE_COLUMNS, TILE_ROWS))).all()):
+            uvs[own] -= used[0]
 
 
 def check_texel_count(pages: np.ndarray | None, size: int) -> None:
