@@ -100,6 +100,13 @@ class TestMetashape:
         assert any("geocentric" in note for note in found.notes)
         assert 'Only the first of 2 chunks was read, "A".' in found.notes
 
+    def test_cameras_on_the_surface_of_the_earth_are_geocentric(self, tmp_path):
+        path = self.write(tmp_path / "a.xml")
+        translation = numbers(self.TRANSLATION)
+        path.write_text(path.read_text(encoding="utf-8").replace(translation, "-2499366.4 -4256836.5 4029217.9"), encoding="utf-8")
+        [note] = read_camera_file(path).notes
+        assert "geocentric" in note
+
     def test_skew_and_the_fourth_coefficient(self, tmp_path):
         """x = cx + (f + b1) x' + b2 y', y = cy + f y', with a radial polynomial of four coefficients."""
         terms = {"b1": 4.0, "b2": 3.0, "k1": 0.1, "k2": -0.02, "k3": 0.005, "k4": 0.03, "p1": 0.003, "p2": -0.001, "cx": 2.0, "cy": -1.0}

@@ -14,6 +14,7 @@ from ..imaging.image_files import EXTENSIONS
 RAW_EXTENSIONS = ("dng", "cr2", "cr3", "nef", "arw", "raf", "orf", "rw2", "pef", "srw", "3fr", "iiq", "raw")
 OTHER_EXTENSIONS = ("jpe", "bmp", "webp", "heic", "heif", "avif", "jp2", "jxl", "tga", "gif")
 IMAGE_EXTENSIONS = {*EXTENSIONS, *(f".{each}" for each in RAW_EXTENSIONS + OTHER_EXTENSIONS)}  # another one may take their place
+MAX_DEPTH = 32  # folders of a name, from the last one on, that may be folders here
 MASK_SUFFIXES = (".png", "_mask.png")  # the latter is that of Metashape
 
 
@@ -51,7 +52,8 @@ class PhotoFolder:
         return self._find(name, _mask_names)
 
     def _find(self, name: str, candidates_of: Callable[[str], list[str]]) -> Path | None:
-        parts = [part for part in PurePosixPath(name.replace("\\", "/")).parts if part not in ("/", "..") and not part.endswith(":")]
+        found = PurePosixPath(name.replace("\\", "/")).parts[-MAX_DEPTH:]
+        parts = [part for part in found if part not in ("/", "..") and not part.endswith(":")]
         for first in range(len(parts)):
             folder = self.folder.joinpath(*parts[first:-1])
             for find in (_find_exactly, self._find_in_listing):

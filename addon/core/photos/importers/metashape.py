@@ -15,6 +15,7 @@ from .reading import ReadSize, check_rotation, read_file
 FORBIDDEN = (b"<!DOCTYPE", b"<!ENTITY")  # entities may expand without limit
 FRAME_TYPES = {"frame": "FULL_OPENCV", "fisheye": "OPENCV_FISHEYE"}
 COEFFICIENTS = ("f", "b1", "b2", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
+MIN_EARTH, MAX_EARTH = 6.3e6, 6.5e6  # distances in meters of cameras from the center of the Earth
 GEOGRAPHIC = ("GEOGCS", "PROJCS", "COMPD_CS", "GEOCCS")  # coordinate systems whose chunks have a geocentric world
 
 
@@ -70,7 +71,8 @@ def _read_chunk(chunk: ET.Element, notes: CameraNotes) -> list[PhotoCamera]:
             # Since version 1.6, a component has the transform, and the chunk none, or that of the active component.
             world = worlds.get(component) or chunk_world or _World(np.eye(3), np.zeros(3), 1.0)
             cameras.append(_build_camera(camera, name, read_lens(camera.get("sensor_id")), world))
-    if cameras and reference.startswith(GEOGRAPHIC):
+    is_geocentric = cameras and MIN_EARTH < min(np.linalg.norm(camera.position) for camera in cameras) < MAX_EARTH
+    if is_geocentric or (cameras and reference.startswith(GEOGRAPHIC)):
         notes.remark("The cameras have geocentric coordinates; export the mesh with the coordinate system WGS 84, EPSG::4978, too.")
     slaves = [camera for camera in chunk.iterfind(".//camera") if camera.get("master_id") not in (None, camera.get("id"))]
     if any(camera.find("transform") is None for camera in slaves):
