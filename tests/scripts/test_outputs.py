@@ -21,6 +21,7 @@ import texmesh
 import unwrap
 from farfield.addon.core.errors import FarfieldError, FileError
 from farfield.addon.core.files.outputs import Input, Output, check_outputs, is_named_by
+from farfield.addon.core.photos.importers import CameraFile
 from lib.atomic_output import blender_error_message
 from lib.command_line import ProgressLine, argument_name
 from lib.contact_sheet import is_own_png, write_png
@@ -160,7 +161,7 @@ def scene_file(extension, tmp_path_factory) -> Path:
 @pytest.mark.parametrize("name", ["texture.png", "library.blend"])
 def test_files_of_the_scene_are_not_replaced(command, name, scene_file, monkeypatch):
     """Neither by reports nor by other outputs."""
-    monkeypatch.setattr(photos, "read_cameras", lambda *_: [])
+    monkeypatch.setattr(photos, "read_camera_file", lambda *_: CameraFile([], []))
     place = scene_file.parent
     paths = {"the input": scene_file, "--report": place / name, "--out": place / ("new" if command == "packages build" else "new.blend")}
     if command == "texmesh analyze":
