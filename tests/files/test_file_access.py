@@ -13,10 +13,24 @@ from farfield.addon.core.files.file_access import (
     check_writable,
     check_writable_folder,
     error_reason,
+    exists,
+    is_file,
+    is_folder,
     is_stream,
+    read_limited,
 )
 
 only_on_posix = pytest.mark.skipif(os.name == "nt", reason="Windows has no mode bits and no named pipes in folders")
+
+PLACES = {  # whether there is a file, a folder, or anything
+    ".": (False, True, True),
+    "file": (True, False, True),
+    "link": (True, False, True),
+    "dangling": (False, False, False),
+    "none": (False, False, False),
+    "file/below": (False, False, False),
+    "pipe": (False, False, True),
+}
 
 
 def message(check, path):
@@ -46,9 +60,35 @@ def test_pipes_and_devices_are_named(tmp_path):
     assert not is_stream(tmp_path / "none") and not is_stream(tmp_path)
 
 
-@pytest.mark.parametrize("check", [check_readable, check_writable, check_writable_folder, check_empty, is_stream])
-def test_a_name_that_is_too_long(check, tmp_path):
-    assert "choose a shorter name" in message(check, tmp_path / ("a" * 300))
+@pytest.mark.parametrize(
+    "check", [check_readable, check_writable, check_writable_folder, check_empty, is_stream, is_file, is_folder, exists]
+)
+@pytest.mark.parametrize("length", [300, 100_000])
+def test_a_name_that_is_too_long(check, tmp_path, length):
+    sentence = message(check, tmp_path / ("a" * length))
+    assert "choose a shorter name" in sentence and len(sentence) < 1100
+
+
+@only_on_posix
+def test_what_lies_at_a_path(tmp_path):
+    (tmp_path / "file").touch()
+    (tmp_path / "link").symlink_to(tmp_path / "file")
+    (tmp_path / "dangling").symlink_to(tmp_path / "none")
+    os.mkfifo(tmp_path / "pipe")
+    found = {name: (is_file(path), is_folder(path), exists(path)) for name in PLACES for path in [tmp_path / name]}
+    assert found == PLACES
+    for check in (is_file, is_folder, exists):
+        assert "not valid UTF-8" in message(check, tmp_path / "a\0")
+
+
+@only_on_posix
+def test_no_more_of_a_file_is_read_than_is_allowed(tmp_path):
+    (tmp_path / "file").write_bytes(b"12345")
+    assert read_limited(tmp_path / "file", 5) == b"12345"
+    assert "more than 4 bytes" in message(lambda path: read_limited(path, 4), tmp_path / "file")
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", file_access.Path("/dev/zero")):
+        assert "device or a pipe" in message(lambda path: read_limited(path, 4), path)
 
 
 @only_on_posix

@@ -22,6 +22,7 @@ ADVICE = {
     errno.ENAMETOOLONG: "choose a shorter name",
     errno.ELOOP: "choose another path",
 }
+MAX_ACTION = 1000  # characters of a message in front of the reason; paths that are too long to exist may have any number
 OPEN_FILE = re.compile(r"/dev/(stdin|stdout|stderr|fd/\d+)|/proc/(self|\d+)/fd/\d+")  # may be a regular file that the shell has opened
 
 
@@ -38,6 +39,8 @@ def convert_os_errors(action: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        if len(action) > MAX_ACTION:
+            action = f"{action[: MAX_ACTION // 2]}...{action[-MAX_ACTION // 2 :]}"
         raise FileError(f"{action}: {error_reason(error)}.") from error
 
 
@@ -64,6 +67,38 @@ def check_unicode(path: Path) -> None:
     text = str(path.absolute())
     if "\0" in text or not is_unicode(text):
         raise FileError(f'The path "{single_line(text)}" is not valid UTF-8 text; rename the file or the folder.')
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is a regular file at `path`, through links too. For paths that somebody else has chosen: unlike `Path.is_file`, it
+    raises FileError if the path cannot be one, for example because it is too long."""
+    status = read_status(path)
+    return status is not None and stat.S_ISREG(status.st_mode)
+
+
+def is_folder(path: Path) -> bool:
+    """Whether there is a folder at `path`, through links too. Raises FileError if the path cannot be one."""
+    status = read_status(path)
+    return status is not None and stat.S_ISDIR(status.st_mode)
+
+
+def exists(path: Path) -> bool:
+    """Whether there is anything at `path`, through links too. Raises FileError if the path cannot be one."""
+    return read_status(path) is not None
+
+
+def read_limited(path: Path, max_bytes: int) -> bytes:
+    """Return the content of a regular file.
+
+    Raises:
+        FileError: it is no regular file, has more than `max_bytes` bytes, or cannot be read.
+    """
+    check_readable(path)
+    with convert_os_errors(f'Cannot read "{path}"'), path.open("rb") as file:
+        content = file.read(max_bytes + 1)
+    if len(content) > max_bytes:
+        raise FileError(f'"{path}" has more than {max_bytes:,} bytes, too many for such a file; give the path of another one.')
+    return content
 
 
 def check_readable(path: Path) -> None:

@@ -15,6 +15,8 @@ Raw images are a header of 16 bytes, little-endian, and the rows from the bottom
 import io
 import struct
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -86,12 +88,28 @@ def decode(data: bytes | memoryview, max_pixels: int = MAX_PIXELS) -> np.ndarray
     """
     if bytes(data[: len(RAW_MAGIC)]) == RAW_MAGIC:
         return _decode_raw(data, max_pixels)
+    with _open(data) as image:
+        return _decode_opened(image, len(data), max_pixels)
+
+
+def check_coded(data: bytes | memoryview, max_pixels: int = MAX_PIXELS) -> None:
+    """Check the header of the image that `data` contains, as `decode` does before it reads the pixels. Raises ImageError."""
+    if bytes(data[: len(RAW_MAGIC)]) == RAW_MAGIC:
+        _check_raw(data, max_pixels)
+        return
+    with _open(data) as image:
+        _check_opened(image, len(data), max_pixels)
+
+
+@contextmanager
+def _open(data: bytes | memoryview) -> "Iterator[ImageFile]":
+    """Open an image whose header is read, and close it after the block. Raises ImageError, also for damages found in the block."""
     plugin = _find_plugin(bytes(data[:12]))
     if plugin is None:
         raise ImageError("The image is no JPEG, WebP or PNG; save it in one of these formats.")
     try:
         with plugin(io.BytesIO(data)) as image:
-            return _decode_opened(image, len(data), max_pixels)
+            yield image
     except DAMAGES as error:
         raise ImageError("The image is damaged or truncated; open it in an image editor and save it again.") from error
 
@@ -186,6 +204,12 @@ def _rgb_mode(image: "ImageFile") -> str:
 
 
 def _decode_raw(data: bytes | memoryview, max_pixels: int) -> np.ndarray:
+    shape = _check_raw(data, max_pixels)
+    return np.frombuffer(data, np.uint8, offset=RAW_HEADER.size).reshape(shape).copy()
+
+
+def _check_raw(data: bytes | memoryview, max_pixels: int) -> tuple[int, int, int]:
+    """Return the rows, columns and channels of a raw image. Raises ImageError."""
     if len(data) < RAW_HEADER.size:
         raise ImageError("The raw image is truncated; write it again.")
     _, width, height, channels = RAW_HEADER.unpack(data[: RAW_HEADER.size])
@@ -193,4 +217,4 @@ def _decode_raw(data: bytes | memoryview, max_pixels: int) -> np.ndarray:
         raise ImageError(f"The raw image has {width} x {height} pixels, more than {max_pixels:,}; use smaller tiles.")
     if channels not in (3, 4) or RAW_HEADER.size + width * height * channels != len(data):
         raise ImageError("The raw image is damaged or truncated; write it again.")
-    return np.frombuffer(data, np.uint8, offset=RAW_HEADER.size).reshape(height, width, channels).copy()
+    return height, width, channels

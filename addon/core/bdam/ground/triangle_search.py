@@ -6,6 +6,8 @@ from ...arrays import concatenate_ranges
 
 TOLERANCE = 1e-9  # Barycentric coordinates may be this negative: points on an edge are in both triangles in spite of rounding.
 TRIANGLES_PER_BUCKET = 2.0
+MAX_MEMBERS = 1 << 20  # triangles of all buckets; long thin ones are in many, and then there are fewer buckets
+MAX_CANDIDATES = 1 << 22  # pairs of a point and a triangle that are tested at once
 
 
 class TriangleSearch:
@@ -16,15 +18,19 @@ class TriangleSearch:
         corners = positions[triangles]
         self._low = corners.min(axis=(0, 1))
         extent = np.maximum(corners.max(axis=(0, 1)) - self._low, np.finfo(np.float64).tiny)
+        self._extent = extent
         self._count = max(1, int((len(triangles) / TRIANGLES_PER_BUCKET) ** 0.5))
-        self._scale = self._count / extent
         self._origins = corners[:, 0]
         self._edges = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
         (ux, uy), (vx, vy) = (edge.T for edge in self._edges)
         self._areas = ux * vy - uy * vx
-        first, last = self._bucket_positions(corners.min(axis=1)), self._bucket_positions(corners.max(axis=1))
-        widths, heights = (last - first + 1).T
-        counts = widths * heights
+        while True:
+            first, last = self._bucket_positions(corners.min(axis=1)), self._bucket_positions(corners.max(axis=1))
+            widths, heights = (last - first + 1).T
+            counts = widths * heights
+            if counts.sum() <= MAX_MEMBERS or self._count == 1:
+                break
+            self._count //= 2
         members = np.repeat(np.arange(len(triangles)), counts)
         offsets = concatenate_ranges(0, counts)
         columns, rows = first[members, 0] + offsets % widths[members], first[members, 1] + offsets // widths[members]
@@ -41,11 +47,17 @@ class TriangleSearch:
     def find(self, points: np.ndarray) -> np.ndarray:
         """Return for each of `points` (N, 2) float64 the index of a triangle that contains it, (N,) int64, or -1.
 
-        On a common edge it is the triangle that the point is deepest in. The memory needed grows with N.
+        On a common edge it is the triangle that the point is deepest in.
         """
         buckets = self._bucket_positions(points)
         buckets = buckets[:, 1] * self._count + buckets[:, 0]
         counts = self._starts[buckets + 1] - self._starts[buckets]
+        parts = np.flatnonzero(np.diff(np.cumsum(counts) // MAX_CANDIDATES, prepend=0)) if counts.sum() > MAX_CANDIDATES else []
+        split = (np.split(array, parts) for array in (points, buckets, counts))
+        return np.concatenate([self._find_part(*part) for part in zip(*split, strict=True)])
+
+    def _find_part(self, points: np.ndarray, buckets: np.ndarray, counts: np.ndarray) -> np.ndarray:
+        """Do `find` for points in `buckets` (N,) with `counts` (N,) of triangles. The memory needed grows with the sum of these."""
         of_point = np.repeat(np.arange(len(points)), counts)
         candidates = self._members[concatenate_ranges(self._starts[buckets], counts)]
         depths = self._measure_depths(points[of_point], candidates)
@@ -59,7 +71,7 @@ class TriangleSearch:
 
     def _bucket_positions(self, points: np.ndarray) -> np.ndarray:
         """Return columns and rows (N, 2) int64 of the buckets of points, of the nearest ones outside of the grid."""
-        return np.clip((points - self._low) * self._scale, 0, self._count - 1).astype(np.int64)
+        return np.clip((points - self._low) * (self._count / self._extent), 0, self._count - 1).astype(np.int64)
 
     def _measure_depths(self, points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
         """Return the smallest of the barycentric coordinates (N,) of points in one triangle each, minus infinity without area."""

@@ -146,6 +146,8 @@ def decode_patch(
     Raises:
         FileError: the block is damaged.
     """
+    if leaf is not None and (len(leaf.x), len(leaf.triangles)) != (vertex_count, triangle_count):
+        raise FileError("a leaf has another number of vertices or triangles than its place has samples.")
     reader = StreamReader(_decompress(content, _max_size(vertex_count, triangle_count)))
     if leaf is None:
         x, y, triangles = _read_mesh(reader, corners.min(axis=0), corners.max(axis=0), vertex_count, triangle_count)

@@ -17,15 +17,18 @@ The backup of the file (see `files.backups`) is a copy of it.
 
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ...errors import FileError
+from ...files import file_access
 from ...files.backups import FileDamage, backup_path, copy_to_backup, read_either
 from ...files.blocks import BlockReader, BlockWriter
 from ...geometry.placements import Frame, GeographicFrame, ProjectedFrame
+from ...json_values import boolean, integer, number, numbers, parse_json, text
 from ..tree import Tree
 
 KIND, STRUCTURE_FILE = "bdamstru", "structure.bdam"
@@ -34,6 +37,13 @@ KIND, STRUCTURE_FILE = "bdamstru", "structure.bdam"
 VERSION = 3
 ARRAYS_PER_LEVEL = 5
 FRAMES = {"projected": ProjectedFrame, "geographic": GeographicFrame}
+# Limits of what a build writes, with room to spare. Numbers within them fit into the types of all arrays that are computed from them.
+MAX_SAMPLES = 2**28  # along each side
+MAX_LEAF_CELLS = 64
+MAX_GRID_FRACTION = 4  # vertices of a patch, relative to the samples of a square of leaf_cells; a patch has 0.6 times as many
+MAX_STEP, MIN_STEP = 1e9, 1e-15  # meters, degrees or steps between two values
+MAX_METERS = 1e18  # coordinates, heights and errors
+MAX_DEGREES = 1e3
 
 
 @dataclass(frozen=True)
@@ -113,7 +123,7 @@ def write_structure(folder: Path, header: StoreHeader, levels: list[Level]) -> N
 def find_structure(folder: Path) -> Path | None:
     """Return the path of the structure file in a folder, or that of its backup if it is missing; None if the folder has neither."""
     path = folder / STRUCTURE_FILE
-    return next((candidate for candidate in (path, backup_path(path)) if candidate.is_file()), None)
+    return next((candidate for candidate in (path, backup_path(path)) if file_access.is_file(candidate)), None)
 
 
 def read_structure(folder: Path) -> tuple[StoreHeader, list[Level], tuple[FileDamage, ...]]:
@@ -129,24 +139,54 @@ def read_structure(folder: Path) -> tuple[StoreHeader, list[Level], tuple[FileDa
 def _read_file(path: Path) -> tuple[StoreHeader, list[Level]]:
     with BlockReader(path, KIND) as reader:
         try:
-            content = json.loads(reader.read(0, "header"))
-            version = content.pop("version")
+            content = parse_json(reader.read(0, "header"))
+            version = integer(content.pop("version"), "version", 0, 2**31)
             if version > VERSION:
                 raise FileError(f'"{path}" was written by a newer Farfield (version {version} of the store); update Farfield.')
             if version < VERSION:
                 raise FileError(f'"{path}" was written by an older Farfield (version {version} of the store); build the terrain again.')
-            header = StoreHeader(**content)
+            header = _check_header(content)
             levels = list(_read_levels(reader, header))
-        except (IndexError, KeyError, TypeError, ValueError) as error:
+        except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
             raise FileError(f'"{path}" is damaged or no structure of a terrain ({error}); build the terrain again.') from error
     return header, levels
 
 
+def _check_header(values: dict[str, Any]) -> StoreHeader:
+    """Return the header that has these values. Raises ValueError, KeyError or TypeError if a value has another type or is out of range."""
+    if values.keys() != {field.name for field in fields(StoreHeader)}:
+        raise ValueError("its header has other fields")
+    if values["frame"] not in tuple(FRAMES):
+        raise ValueError("the frame is unknown")
+    farthest = MAX_DEGREES if values["frame"] == "geographic" else MAX_METERS
+    header = StoreHeader(
+        rows=integer(values["rows"], "rows", 2, MAX_SAMPLES),
+        columns=integer(values["columns"], "columns", 2, MAX_SAMPLES),
+        leaf_cells=integer(values["leaf_cells"], "leaf_cells", 2, MAX_LEAF_CELLS),
+        **{name: number(values[name], name, MIN_STEP, MAX_STEP) for name in ("height_step", "gradient_step", "cell_size")},
+        crs=text(values["crs"], "crs"),
+        frame=values["frame"],
+        first=numbers(values["first"], "first", 2, -farthest, farthest),
+        step=numbers(values["step"], "step", 2, MIN_STEP, MAX_STEP),
+        origin=numbers(values["origin"], "origin", 2, -farthest, farthest),
+        has_texture=boolean(values["has_texture"], "has_texture"),
+        geometry_checksum=integer(values["geometry_checksum"], "geometry_checksum", 0, 2**32 - 1),
+    )
+    if header.leaf_cells % 2:
+        raise ValueError("leaf_cells is odd")
+    return header
+
+
 def _read_levels(reader: BlockReader, header: StoreHeader) -> Iterator[Level]:
-    for level in range(header.tree.leaf_level + 1):
+    """Yield the levels. Raises ValueError if their patches are none of the bintree, or a number is out of range."""
+    level_count = header.tree.leaf_level + 1
+    if len(reader) != 1 + ARRAYS_PER_LEVEL * level_count:
+        raise ValueError(f"it has another number of levels than {level_count}")
+    parents = np.zeros(1, np.int64)  # the root square, whose halves are the patches of level 0
+    for level in range(level_count):
         blocks = [reader.read(ARRAYS_PER_LEVEL * level + number, f"level {level}") for number in range(1, ARRAYS_PER_LEVEL + 1)]
         boxes = np.frombuffer(blocks[4], "<f4").reshape(-1, 6)
-        yield Level(
+        patches = Level(
             np.frombuffer(blocks[0], "<u8").astype(np.int64),
             np.frombuffer(blocks[1], "<f4"),
             np.frombuffer(blocks[2], "<i4").reshape(-1, 2),
@@ -154,3 +194,26 @@ def _read_levels(reader: BlockReader, header: StoreHeader) -> Iterator[Level]:
             boxes[:, :3],
             boxes[:, 3:],
         )
+        _check_level(patches, header, parents, level)
+        yield patches
+        parents = patches.indices
+
+
+def _check_level(patches: Level, header: StoreHeader, parents: np.ndarray, level: int) -> None:
+    """Check the patches of a level; its parents are the indices (M,) of the next coarser one. Raises ValueError."""
+    indices = patches.indices
+    if {len(array) for array in (patches.errors, patches.heights, patches.counts, patches.low)} != {len(indices)}:
+        raise ValueError(f"the arrays of level {level} have different lengths")
+    above = indices >> 1
+    is_ordered = indices[0] >= 0 and bool((np.diff(indices) > 0).all()) and np.array_equal(above[np.diff(above, prepend=-1) > 0], parents)
+    if not is_ordered or (level == 0 and len(indices) != 2):
+        raise ValueError(f"level {level} has patches without a parent, or parents without a patch")
+    max_vertices = MAX_GRID_FRACTION * (header.leaf_cells + 1) ** 2
+    vertices, triangles, outlines = patches.counts.T
+    is_possible = vertices.min() >= 3 and vertices.max() <= max_vertices and triangles.min() >= 1 and (triangles < 2 * vertices).all()
+    if not is_possible or outlines.min() < 0 or (outlines > triangles).any():
+        raise ValueError(f"level {level} has patches with an impossible number of triangles")
+    numbers = np.concatenate([patches.errors[:, None], patches.low, patches.high], axis=1)
+    is_finite = bool((np.abs(numbers) <= MAX_METERS).all()) and patches.errors.min() >= 0.0  # NaN is not
+    if not is_finite or (patches.low > patches.high).any() or (patches.heights[:, 0] > patches.heights[:, 1]).any():
+        raise ValueError(f"level {level} has impossible errors, heights or boxes")

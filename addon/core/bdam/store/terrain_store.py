@@ -57,7 +57,7 @@ class TerrainStore(AbstractContextManager):
             raise FileError(f'"{folder / GEOMETRY_FILE}" and "{STRUCTURE_FILE}" belong to different terrains; build the terrain again.')
         self.bounds, self.levels = join_bounds(self.levels)
         self.links = link_patches(self.levels)
-        self.textures = TextureStore(folder / TEXTURE_FOLDER) if self.header.has_texture else None
+        self.textures = self._open_textures()
         of_textures = () if self.textures is None else self.textures.damages
         self.file_damages: tuple[FileDamage, ...] = (*damages, *self._geometry.damages, *of_textures)
         self._patch_damages: dict[int, str] = {}
@@ -71,6 +71,17 @@ class TerrainStore(AbstractContextManager):
         self._geometry.close()
         if self.textures is not None:
             self.textures.close()
+
+    def _open_textures(self) -> TextureStore | None:
+        """Return the texture tiles, None without. Raises FileError if they are those of another terrain, too."""
+        if not self.header.has_texture:
+            return None
+        textures, tree = TextureStore(self.folder / TEXTURE_FOLDER), self.tree
+        grid = textures.grid
+        if (grid.columns, grid.rows, grid.size) != (tree.columns, tree.rows, tree.side) or grid.level_count > tree.depth + 1:
+            textures.close()
+            raise FileError(f'The textures in "{self.folder}" are those of another terrain; build the terrain again.')
+        return textures
 
     def read(self, level: int, row: int) -> Patch:
         """Return the patch in a row of a level.

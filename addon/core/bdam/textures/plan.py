@@ -1,13 +1,18 @@
 """The plan of a build of texture tiles."""
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from ...errors import SettingsError
 from ...imaging.coded_images import DEFAULT_QUALITY, ImageFormat
+from ...json_values import integer, numbers, parse_json, text
 from .grid import MAX_LEVELS, TextureGrid
+
+MAX_SIZE = 2**30  # cells along the side of the root square
+MIN_SPACING, MAX_SPACING = 1e-15, 1e9  # meters
 
 # The overlap of WebP tiles, unlike that of JPEG tiles, is coded differently in each; below 95 the seams exceed 8/255 in photographs.
 DEFAULT_QUALITIES = {"jpeg": DEFAULT_QUALITY, "webp": 95, "raw": DEFAULT_QUALITY}
@@ -40,16 +45,33 @@ class TexturePlan:
         return json.dumps(asdict(self), indent=1).encode()
 
 
-def parse_plan(content: bytes) -> TexturePlan | None:
-    """Return the plan that JSON text describes, None if it describes none."""
+def parse_plan(content: bytes) -> TexturePlan:
+    """Return the plan that JSON text describes.
+
+    Raises:
+        ValueError, KeyError, TypeError, AttributeError: it describes none, or one out of range.
+    """
+    values = parse_json(content)
+    values["grid"] = _parse_grid(values["grid"])
+    plan = TexturePlan(**values)
+    if plan.image_format not in tuple(DEFAULT_QUALITIES):
+        raise ValueError("the format is unknown")
+    if plan.quality is not None:
+        integer(plan.quality, "quality", 1, 100)
+    text(plan.error, "error")
     try:
-        fields = json.loads(content)
-        grid = fields.pop("grid")
-        plan = TexturePlan(TextureGrid(**{**grid, "spacing": tuple(grid["spacing"])}), **fields)
         check_plan(plan)
-        return plan
-    except (ValueError, TypeError, KeyError, AttributeError, SettingsError):
-        return None
+    except SettingsError as error:
+        raise ValueError("a setting is out of range") from error
+    return plan
+
+
+def _parse_grid(values: dict[str, Any]) -> TextureGrid:
+    grid = TextureGrid(**values)
+    for name in ("columns", "rows", "size"):
+        integer(getattr(grid, name), name, 2, MAX_SIZE)
+    integer(grid.level_count, "level_count", 1, MAX_LEVELS)
+    return replace(grid, spacing=numbers(grid.spacing, "spacing", 2, MIN_SPACING, MAX_SPACING))
 
 
 def check_plan(plan: TexturePlan) -> None:

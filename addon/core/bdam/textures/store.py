@@ -37,6 +37,7 @@ TILES_FILE, STRUCTURE_FILE = "textures.tiles", "textures.structure"
 PROGRESS_TILES = 128  # between two steps of `write_textures`
 TILES_KIND, STRUCTURE_KIND, STRUCTURE_BLOCKS = "TEXTURES", "TEXTREE", 6
 MIN_FEATURE_CONTRAST = 6.0  # contrast that counts as a feature, in units of 1/255; about twice what can be told apart
+MAX_ERROR = 1e18  # meters
 
 Decoded = TypeVar("Decoded")
 
@@ -150,12 +151,17 @@ class TextureStore(AbstractContextManager):
         return self._decode(number, lambda block: decode_tile(block, TILE_SIZE**2))
 
     def read_coded(self, number: int) -> CodedTile:
-        """Return a tile as the coded images that are stored; see `read`."""
-        return self._decode(number, split_block)
+        """Return a tile as the coded images that are stored; see `read`. Their headers were checked: they have a format of tiles, and at
+        most TILE_SIZE by TILE_SIZE pixels."""
+        return self._decode(number, lambda block: split_block(block, TILE_SIZE**2))
 
     def verify(self) -> Iterator[int]:
-        """Yield the numbers of damaged tiles; the others can be used. Reads all tiles."""
-        yield from self._blocks.verify()
+        """Yield the numbers of damaged tiles; the others can be used. Reads all tiles, and of their images the headers."""
+        for number in range(len(self)):
+            try:
+                self.read_coded(number)
+            except FileError:
+                yield number
 
     def close(self) -> None:
         """Close the file of tiles."""
@@ -178,15 +184,17 @@ def _read_structure(path: Path) -> tuple[TexturePlan, TileIndex, np.ndarray, np.
         if len(reader) != STRUCTURE_BLOCKS:
             raise _damaged(path)
         blocks = [reader.read(number, "structure of textures") for number in range(STRUCTURE_BLOCKS)]
-    count = len(blocks[1]) // 4
-    if [len(block) for block in blocks[1:]] != [4 * count, 8 * count, 4 * count, 4 * count, 4]:
-        raise _damaged(path)
-    plan = parse_plan(blocks[0])
-    if plan is None:
-        raise _damaged(path)
-    levels, tiles = np.frombuffer(blocks[1], "<i4"), np.frombuffer(blocks[2], "<i4").reshape(-1, 2)
+    try:
+        plan = parse_plan(blocks[0])
+        levels, tiles = np.frombuffer(blocks[1], "<i4"), np.frombuffer(blocks[2], "<i4").reshape(-1, 2)
+        own, nested = np.frombuffer(blocks[3], "<f4"), np.frombuffer(blocks[4], "<f4")
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise _damaged(path) from error
     index = TileIndex(levels, tiles, plan.grid.level_count)
-    own, nested = np.frombuffer(blocks[3], "<f4"), np.frombuffer(blocks[4], "<f4")
+    if len(blocks[5]) != 4 or {len(tiles), len(own), len(nested)} != {len(levels)} or not index.is_valid:
+        raise _damaged(path)
+    if not all(((errors >= 0.0) & (errors <= MAX_ERROR)).all() for errors in (own, nested)):  # NaN is not
+        raise _damaged(path)
     return plan, index, own, nested, int.from_bytes(blocks[5], "little")
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...errors import ImageError
-from ...imaging.coded_images import ImageFormat, decode, encode, encode_gray
+from ...imaging.coded_images import ImageFormat, check_coded, decode, encode, encode_gray
 
 SIZES = struct.Struct("<II")
 
@@ -40,12 +40,20 @@ def encode_tile(colors: np.ndarray, alpha: np.ndarray, image_format: ImageFormat
     return SIZES.pack(len(color_image), len(alpha_image)) + color_image + alpha_image
 
 
-def split_block(block: bytes) -> CodedTile:
-    """Return the coded images of a block.
+def split_block(block: bytes, max_pixels: int) -> CodedTile:
+    """Return the coded images of a block, whose headers are checked.
 
     Raises:
-        ImageError: the block is damaged.
+        ImageError: the block is damaged, or holds something else than images of at most `max_pixels` pixels.
     """
+    coded = _split(block)
+    for image in coded if coded.alpha is not None else coded[:1]:
+        check_coded(image, max_pixels)
+    return coded
+
+
+def _split(block: bytes) -> CodedTile:
+    """Return the parts of a block. Raises ImageError."""
     color_size, alpha_size = SIZES.unpack_from(block) if len(block) >= SIZES.size else (0, 0)
     end = SIZES.size + color_size
     if end + alpha_size != len(block):
@@ -59,7 +67,7 @@ def decode_tile(block: bytes, max_pixels: int) -> np.ndarray:
     Raises:
         ImageError: the block is damaged.
     """
-    coded = split_block(block)
+    coded = _split(block)
     image = decode(coded.color, max_pixels)
     if coded.alpha is None:
         return image

@@ -34,6 +34,15 @@ class TileIndex:
     def __len__(self) -> int:
         return len(self.levels)
 
+    @property
+    def is_valid(self) -> bool:
+        """Whether levels ascend, every tile lies in the root square, and no tile exists twice."""
+        levels, tiles = self.levels.astype(np.int64), self.tiles
+        is_possible = bool(((levels >= 0) & (levels < self.level_count)).all() and (np.diff(levels) >= 0).all())
+        if not is_possible or (tiles < 0).any() or (tiles >= (np.int64(1) << levels)[:, None]).any():
+            return False
+        return bool((np.diff(self._sorted) > 0).all())
+
     def find(self, levels: np.ndarray | int, tiles: np.ndarray) -> np.ndarray:
         """Return the numbers (M,) int64 of `tiles` (M, 2) at `levels` (M,) or one level, -1 for tiles that do not exist."""
         if not len(self._keys):

@@ -8,6 +8,8 @@ from ..height_meshes import find_used, sum_gradients
 from ..store.patch_codec import Patch
 from ..store.terrain_store import TerrainStore
 
+MIN_AREA = 1e-60  # square meters, instead of none; far less than that of any triangle between samples
+
 
 @dataclass(frozen=True)
 class PatchMesh:
@@ -91,7 +93,7 @@ def _to_normals(gradients: np.ndarray) -> np.ndarray:
 def vertex_gradients(positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Return the derivatives (2, V) float64 of z along x and y at vertices (V, 3): means of triangles (T, 3) weighted by area."""
     sums = sum_gradients(positions.T.copy(), triangles.T.astype(np.intp, order="C"))
-    return np.stack(sums[:2]) / np.maximum(sums[2], np.finfo(np.float64).tiny)
+    return np.stack(sums[:2]) / np.maximum(sums[2], MIN_AREA)
 
 
 def merge_patches(meshes: list[PatchMesh], levels: np.ndarray) -> CutMesh:
