@@ -207,9 +207,10 @@ def extract(given: Namespace, line: command_line.ProgressLine) -> str:
         with clock.stage("extract"):
             extracted = run_to_end(extract_mesh(store, viewer, CutSettings(tolerance)), line.show)
         origin = list(store.header.origin)
+    warnings = extracted.warnings
     with clock.stage("write"):
         if out.suffix.lower() == ".blend":
-            write_scene(given.store.absolute(), viewer, tolerance, out, line)
+            warnings = write_scene(given.store.absolute(), viewer, tolerance, out, line)
         else:
             write_mesh(out, extracted)
     line.clear()
@@ -219,11 +220,11 @@ def extract(given: Namespace, line: command_line.ProgressLine) -> str:
         "patches": extracted.patches,
         "tiles": extracted.tiles,
         "max_error_px": round(extracted.max_error, 6),
-        "warnings": list(extracted.warnings),
+        "warnings": list(warnings),
     }
     write_report(given, figures, clock.seconds)
     count = f"{figures['triangles']:,} triangles of {extracted.patches:,} patches"
-    return " ".join([f'"{out.name}": {count}, errors up to {extracted.max_error:.2f} px.', *extracted.warnings[:MAX_NAMED]])
+    return " ".join([f'"{out.name}": {count}, errors up to {extracted.max_error:.2f} px.', *warnings[:MAX_NAMED]])
 
 
 def create_viewer(given: Namespace, store: TerrainStore) -> Viewer:
@@ -277,13 +278,15 @@ def write_mesh(out: Path, extracted: ExtractedMesh) -> None:
             write_ply(temporary, mesh.positions, mesh.normals, mesh.triangles)
 
 
-def write_scene(folder: Path, viewer: Viewer, tolerance: float, out: Path, line: command_line.ProgressLine) -> None:
-    """Write a scene with the terrain as objects, with textures."""
+def write_scene(folder: Path, viewer: Viewer, tolerance: float, out: Path, line: command_line.ProgressLine) -> tuple[str, ...]:
+    """Write a scene with the terrain as objects, with textures. Returns sentences about damaged parts, which are replaced or missing."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     settings = ViewSettings(tolerance=tolerance, culling=False)
     engine = BdamEngine(folder, settings)
-    run_to_end(run_job(ShowJob(engine, viewer, str(folder))), line.show)
+    job = ShowJob(engine, viewer, str(folder))
+    run_to_end(run_job(job), line.show)
     scene_files.save_scene(out)
+    return job.terrain.warnings
 
 
 def describe_store(store: TerrainStore) -> dict[str, Any]:

@@ -140,6 +140,8 @@ def _read_file(path: Path) -> tuple[StoreHeader, list[Level]]:
     with BlockReader(path, KIND) as reader:
         try:
             content = parse_json(reader.read(0, "header"))
+            if not isinstance(content, dict):
+                raise ValueError("its header is no object")
             version = integer(content.pop("version"), "version", 0, 2**31)
             if version > VERSION:
                 raise FileError(f'"{path}" was written by a newer Farfield (version {version} of the store); update Farfield.')
@@ -147,7 +149,7 @@ def _read_file(path: Path) -> tuple[StoreHeader, list[Level]]:
                 raise FileError(f'"{path}" was written by an older Farfield (version {version} of the store); build the terrain again.')
             header = _check_header(content)
             levels = list(_read_levels(reader, header))
-        except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+        except (IndexError, KeyError, TypeError, ValueError) as error:
             raise FileError(f'"{path}" is damaged or no structure of a terrain ({error}); build the terrain again.') from error
     return header, levels
 
