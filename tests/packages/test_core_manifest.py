@@ -1,6 +1,7 @@
 """Manifests and tables of increments: round trips, and refusal of what is damaged or contradicts itself."""
 
 import json
+import os
 from contextlib import suppress
 from dataclasses import replace
 
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.packages.increments import Increments, decode_increments, encode_increments
 from farfield.addon.core.packages.manifest import (
+    MAX_MANIFEST_BYTES,
     Manifest,
     MeshLevel,
     PackageMaterial,
@@ -19,6 +21,7 @@ from farfield.addon.core.packages.manifest import (
     Section,
     decode_manifest,
     encode_manifest,
+    read_manifest,
 )
 from farfield.addon.core.packages.planning import ErrorModel
 
@@ -81,6 +84,7 @@ def test_mesh_size_is_that_of_a_level_and_all_coarser_ones():
         {"textures": (PackageTexture("base_color", 3000, 200, 1, (b"\xff",)),)},
         {"textures": (PackageTexture("base_color", 0, 200, 128, (b"\xff",)),)},
         {"increments": Section(20, 20, 7)},
+        {"increment_count": 469},
     ],
 )
 def test_contradictions_are_refused(change):
@@ -92,6 +96,62 @@ def test_newer_version_is_refused():
     content = json.loads(encode_manifest(make_manifest()))
     with pytest.raises(FileError, match="update Farfield"):
         decode_manifest(json.dumps(content | {"version": 4}).encode())
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        (["name"], "\ud800"),
+        (["name"], 5),
+        (["name"], "a" * 2000),
+        (["mirrors", 0], "\udfff"),
+        (["materials", 0, "name"], "\ud800"),
+        (["files", "\ud800"], [1, ""]),
+        (["steps"], "ab"),
+        (["steps", 0], True),
+        (["bounds", 0], "123"),
+        (["bounds", 0, 0], "1"),
+        (["bounds", 0, 0], float("nan")),
+        (["bounds", 0, 0], 1e300),
+        (["bounds", 0, 0], 10**400),
+        (["version"], None),
+    ],
+)
+def test_values_of_another_type_or_out_of_range_are_damaged(path, value):
+    content = json.loads(encode_manifest(make_manifest()))
+    place = content
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = value
+    with pytest.raises(FileError, match="is damaged; export the package again"):
+        decode_manifest(json.dumps(content).encode())
+
+
+def test_deeply_nested_json_is_damaged():
+    with pytest.raises(FileError, match="is damaged"):
+        decode_manifest(b"[" * 1_000_000)
+
+
+def test_as_many_increments_as_bytes_are_possible():
+    assert decode_manifest(encode_manifest(replace(make_manifest(), increment_count=468))).increment_count == 468
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no named pipes in folders")
+def test_a_manifest_that_is_a_device_a_pipe_or_too_large_is_refused(tmp_path):
+    (tmp_path / "manifest.json").symlink_to("/dev/zero")
+    with pytest.raises(FileError, match="is a device or a pipe"):
+        read_manifest(tmp_path)
+    (tmp_path / "manifest.json").unlink()
+    os.mkfifo(tmp_path / "manifest.json")
+    with pytest.raises(FileError, match="is a device or a pipe"):
+        read_manifest(tmp_path)
+    (tmp_path / "manifest.json").unlink()
+    with (tmp_path / "manifest.json").open("wb") as file:
+        file.truncate(MAX_MANIFEST_BYTES + 1)  # a file without content, which needs no room on the disk
+    with pytest.raises(FileError, match="has more than"):
+        read_manifest(tmp_path)
+    with pytest.raises(FileError, match="choose a shorter name"):
+        read_manifest(tmp_path / ("a" * 300))
 
 
 @given(st.data())

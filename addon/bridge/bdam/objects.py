@@ -19,6 +19,7 @@ from ...core.bdam.settings import ViewSettings
 from ...core.bdam.view.engine import BdamEngine, Figures, TileBlock, Update
 from ...core.bdam.view.tiles import TileKey, TileMesh
 from ...core.errors import FileError
+from ...core.files.file_access import is_folder
 from ..geometry.mesh_arrays import write_attribute, write_triangles
 from ..geometry.mesh_pool import PendingMeshes, claim, mark_spare
 from ..terrain_roots import TerrainRoot, remove_terrain
@@ -111,7 +112,7 @@ def resolve_folder(path: str, library: bpy.types.Library | None, subject: str) -
             raise FileError(f'{subject} is at "{path}", relative to a file that was never saved; save the file or choose the folder again.')
         path = bpy.path.abspath(path, library=library)
     folder = Path(path).absolute()
-    if not path or not folder.is_dir():
+    if not path or not is_folder(folder):
         raise FileError(f'{subject} is missing: there is no folder "{folder if path else ""}"; set Store to where it is now.')
     return folder
 

@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 
 from ...core.errors import FileError, ImageError
-from ...core.files.file_access import check_readable, convert_os_errors
+from ...core.files.file_access import check_readable, convert_os_errors, is_file
 from ..blender import error_sentence
 from ..imaging.color_spaces import find_scene_linear_space
 from ..imaging.images import EXTENSIONS, FILE_FORMATS, find_path, load_image, lossless_alpha_mode, read_pixels, tile_paths
@@ -92,7 +92,7 @@ def read_tiles(image: bpy.types.Image) -> dict[int, np.ndarray]:
         return {0: read_pixels(image)}
     numbers = [tile.number for tile in image.tiles]
     files = {number: Path(path) for number, path in zip(numbers, tile_paths(image), strict=True)}
-    if not image.is_dirty and not image.packed_files and all(path.is_file() for path in files.values()):
+    if not image.is_dirty and not image.packed_files and all(is_file(path) for path in files.values()):
         return {number: _read_file(image, path) for number, path in files.items()}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, f"tile.<UDIM>.{EXTENSIONS[image.is_float]}")

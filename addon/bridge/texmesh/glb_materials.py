@@ -7,7 +7,7 @@ import bpy
 import numpy as np
 
 from ...compat import uses_nodes
-from ...core.files.file_access import convert_os_errors
+from ...core.files.file_access import convert_os_errors, is_file
 from ...core.files.glb import IMAGE_TYPES, GlbMaterial
 from ...core.imaging.coded_images import encode
 from ...core.imaging.colors import encode_signed_srgb
@@ -104,7 +104,7 @@ def _read_content(image: bpy.types.Image) -> bytes:
     if image.packed_files:
         return image.packed_files[0].packed_file.data
     path = Path(find_path(image))
-    if not path.is_file():
+    if not is_file(path):
         return b""
     with convert_os_errors(f'Cannot read "{path}"'):
         return path.read_bytes()

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import FileError
 from ..files.atomic_write import atomic_folder
-from ..files.file_access import check_writable, convert_os_errors
+from ..files.file_access import check_writable, convert_os_errors, exists, is_file
 from .increments import Increments, decode_increments
 from .manifest import MANIFEST, MESH, TEXTURES, Manifest, encode_manifest, read_manifest
 
@@ -60,8 +60,7 @@ def check_package_folder(folder: Path) -> None:
         FileError: it cannot, or they are not.
     """
     check_writable(folder / MANIFEST)
-    with convert_os_errors(f'Cannot read "{folder}"'):
-        existing = [name for name in PACKAGE_FILES if (folder / name).exists()]
+    existing = [name for name in PACKAGE_FILES if exists(folder / name)]
     if existing and not _has_manifest(folder):
         raise FileError(f'The folder "{folder}" contains "{existing[0]}", but no package; choose an empty or a new folder.')
 
@@ -95,9 +94,9 @@ def read_package(folder: Path) -> PackageContent:
 
 def _read_file(path: Path, manifest: Manifest) -> bytes:
     size, digest = manifest.files[path.name]
+    if not is_file(path):
+        raise FileError(f'The package lacks "{path.name}"; copy the whole folder again.')
     with convert_os_errors(f'Cannot read "{path}"'):
-        if not path.is_file():
-            raise FileError(f'The package lacks "{path.name}"; copy the whole folder again.')
         if path.stat().st_size != size:
             raise FileError(f'"{path.name}" has {path.stat().st_size:,} bytes instead of {size:,}; copy the whole package again.')
         content = path.read_bytes()

@@ -12,7 +12,6 @@ Everything that is compressed is raw DEFLATE (RFC 1951), which browsers decode.
 """
 
 import json
-import math
 import zlib
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -21,11 +20,15 @@ from typing import Any
 import numpy as np
 
 from ..errors import FileError
+from ..files.file_access import exists, read_limited
+from ..json_values import integer, numbers, parse_json, text
 from .tile_pyramid import TilePyramid
 
 FORMAT, VERSION = "farfield-package", 3
 MAX_MANIFEST_BYTES = 16 * 2**20
 MAX_FILE_BYTES = 2**40
+MAX_INCREMENTS = 2**20
+MAX_NUMBER = 1e30
 MANIFEST, MESH, TEXTURES = "manifest.json", "mesh.bin", "textures.bin"
 MAX_TEXTURE_SIDE = 65536
 MAX_STEPS = 65535  # Positions and texture coordinates are 16-bit numbers.
@@ -210,15 +213,15 @@ def decode_manifest(content: bytes) -> Manifest:
         FileError: it is no manifest of a package, is damaged, contradicts itself, or is of a newer version.
     """
     try:
-        values = json.loads(content)
+        values = parse_json(content)
         if not isinstance(values, dict) or values.get("format") != FORMAT:
             raise FileError("manifest.json is not that of a package of Farfield; choose the folder that Export Package wrote.")
-        if values["version"] != VERSION:
+        if integer(values["version"], "version", 0, 2**31) != VERSION:
             raise FileError(
-                f"The package has version {values['version']!r} of the format, but this Farfield reads {VERSION}; update Farfield."
+                f"The package has version {values['version']} of the format, but this Farfield reads {VERSION}; update Farfield."
             )
         manifest = _to_manifest(values)
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise FileError("manifest.json is damaged; export the package again.") from error
     _check(manifest)
     return manifest
@@ -231,35 +234,32 @@ def read_manifest(folder: Path) -> Manifest:
         FileError: see `decode_manifest`, or it cannot be read.
     """
     path = folder / MANIFEST
-    try:
-        if path.stat().st_size > MAX_MANIFEST_BYTES:
-            raise FileError(f'"{path}" is too large for a manifest; choose the folder that Export Package wrote.')
-        return decode_manifest(path.read_bytes())
-    except OSError as error:
-        raise FileError(f'"{path}" cannot be read ({error.strerror or error}); choose the folder that Export Package wrote.') from error
+    if not exists(path):
+        raise FileError(f'"{folder}" contains no "{MANIFEST}"; choose the folder that Export Package wrote.')
+    return decode_manifest(read_limited(path, MAX_MANIFEST_BYTES))
 
 
 def _to_manifest(values: dict[str, Any]) -> Manifest:
     return Manifest(
-        name=str(values["name"]),
-        files={str(name): (_integer(size), str(digest)) for name, (size, digest) in values["files"].items()},
-        mirrors=tuple(str(url) for url in values["mirrors"]),
+        name=_text(values["name"]),
+        files={_text(name): (_integer(size), _text(digest)) for name, (size, digest) in values["files"].items()},
+        mirrors=tuple(_text(url) for url in values["mirrors"]),
         bounds=_to_bounds(values["bounds"], 3),
         uv_bounds=_to_bounds(values["uv_bounds"], 2),
         steps=tuple(_integer(count) for count in values["steps"]),
         levels=tuple(_to_level(level) for level in values["levels"]),
         materials=tuple(
             PackageMaterial(
-                str(item["name"]),
+                _text(item["name"]),
                 _finite(item["base_color"], 4),
-                {str(role): _integer(index) for role, index in item["textures"].items()},
+                {_text(role): _integer(index) for role, index in item["textures"].items()},
                 item["is_double_sided"] is True,
             )
             for item in values["materials"]
         ),
         textures=tuple(
             PackageTexture(
-                str(item["role"]),
+                _text(item["role"]),
                 *(_integer(item[key]) for key in ("width", "height", "tile_size")),
                 tuple(bytes.fromhex(header) for header in item["headers"]),
             )
@@ -300,16 +300,15 @@ def _to_bounds(values: list[Any], dimension: int) -> tuple[tuple[float, ...], tu
 
 
 def _integer(value: object) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= MAX_FILE_BYTES:
-        raise ValueError(value)
-    return value
+    return integer(value, "a count", 0, MAX_FILE_BYTES)
 
 
-def _finite(values: list[Any], count: int) -> tuple[Any, ...]:
-    numbers = tuple(float(value) for value in values)
-    if len(numbers) != count or not all(math.isfinite(number) for number in numbers):
-        raise ValueError(values)
-    return numbers
+def _finite(values: object, count: int) -> tuple[Any, ...]:
+    return numbers(values, "a list", count, -MAX_NUMBER, MAX_NUMBER)
+
+
+def _text(value: object) -> str:
+    return text(value, "a text")
 
 
 def _check(manifest: Manifest) -> None:
@@ -339,6 +338,8 @@ def _check(manifest: Manifest) -> None:
     tables = (manifest.increments, manifest.checksums)
     if any(table.end > manifest.first_increment for table in tables) or manifest.first_increment > textures_size:
         raise _contradiction("the table of increments ends behind the first one")
+    if manifest.increment_count > min(textures_size - manifest.first_increment, MAX_INCREMENTS):  # each has at least one byte
+        raise _contradiction("it has more increments than bytes of them")
     errors = manifest.errors
     if len(errors.levels) != len(manifest.levels) or not 1 <= manifest.state_count <= MAX_STATES:
         raise _contradiction("its errors do not fit to its levels")
