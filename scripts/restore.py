@@ -147,7 +147,8 @@ def summarize(images: list[dict[str, Any]]) -> str:
     """Return one sentence about the result."""
     pixels, holes = (sum(image[key] for image in images) for key in ("masked_pixels", "holes"))
     what = "" if len(images) == 1 else f" of {len(images)} images"
-    return f"Restored {format_count(pixels, 'pixel')} in {format_count(holes, 'hole')}{what}."
+    remarks = dict.fromkeys(remark for image in images for remark in image["remarks"])
+    return " ".join([f"Restored {format_count(pixels, 'pixel')} in {format_count(holes, 'hole')}{what}.", *remarks])
 
 
 if __name__ == "__main__":

@@ -32,6 +32,7 @@ from lib.script_stdout import mute_stderr
 BAND_PREFIX = "high"  # Stages with this prefix have the mean 0 and are shown around middle gray.
 NORMAL_CHANNELS = 3
 INPUTS = {"image": "the image", "mask": "the mask", "source_mask": "--source-mask", "barriers": "--barriers"}  # and names in messages
+MASKS = {"mask": "mask", "source_mask": "source mask", "barriers": "barrier mask"}  # and names in messages
 OUTPUTS = {"out": "--out", "curve": "--curve"}
 
 
@@ -108,11 +109,10 @@ def restore_image(
         image = read_image_file(path, is_color=not (given.data or given.normal_map))
         if given.normal_map and image.pixels.shape[2] < NORMAL_CHANNELS:
             raise ImageError(f'"{path}" has {image.pixels.shape[2]} channels and a normal map 3; leave out --normal-map.')
-        mask = _read_mask(job, image, tolerance)
-        source_mask, barriers = (
-            read_mask(job.paths[name], image.pixels, path, label) if name in job.paths else None
-            for name, label in (("source_mask", "source mask"), ("barriers", "barrier mask"))
-        )
+        remarks: list[str] = []
+        mask, source_mask, barriers = (_read_mask(job, name, image, remarks) for name in MASKS)
+        if mask is None:
+            mask = masked_pixels(job.mask_rule, image, path, tolerance)
     restoration = None
     if job.number is None or mask.any():
         try:
@@ -137,14 +137,16 @@ def restore_image(
             _write_stages(job, restoration, scratch)
             if "curve" in job.paths:
                 write_png(job.scratch_path("curve", scratch), draw_kappa_chart(restoration.deviations, restoration.kappa, MAX_DEVIATION))
-    return _figures(path, image, mask, restoration)
+    return _figures(path, image, mask, restoration) | {"remarks": remarks}
 
 
-def _read_mask(job: ImageJob, image: ImageFile, tolerance: float) -> np.ndarray:
-    path = job.paths["image"]
-    if job.mask_rule is not None:
-        return masked_pixels(job.mask_rule, image, path, tolerance)
-    return read_mask(job.paths["mask"], image.pixels, path, "mask")
+def _read_mask(job: ImageJob, name: str, image: ImageFile, remarks: list[str]) -> np.ndarray | None:
+    """Return a mask (H, W) bool by its name in MASKS, None if it is no file. Adds to the `remarks` of the image."""
+    if name not in job.paths:
+        return None
+    mask, remark = read_mask(job.paths[name], image, job.paths["image"], MASKS[name])
+    remarks += [remark] if remark else []
+    return mask
 
 
 def _figures(path: Path, image: ImageFile, mask: np.ndarray, restoration: Restoration | None) -> dict[str, Any]:

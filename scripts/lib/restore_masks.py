@@ -13,6 +13,7 @@ from farfield.addon.bridge.imaging.image_files import read_image_file
 from farfield.addon.bridge.imaging.image_storage import ImageFile
 from farfield.addon.core.errors import ImageError
 from farfield.addon.core.imaging.colors import LUMINANCE
+from farfield.addon.core.imaging.orientation import SWAPPED, UPRIGHT, from_upright
 
 ALPHA = "alpha"  # instead of the path of a mask
 COLOR = re.compile(r"#([0-9a-fA-F]{6})")
@@ -42,10 +43,13 @@ def masked_pixels(mask: str, image: ImageFile, path: Path, tolerance: float) -> 
     return np.logical_and.reduce([np.abs(colors[..., channel % colors.shape[2]] - color[channel]) <= limit for channel in range(3)])
 
 
-def read_mask(path: Path, image: np.ndarray, image_path: Path, name: str) -> np.ndarray:
+def read_mask(path: Path, image: ImageFile, image_path: Path, name: str) -> tuple[np.ndarray, str | None]:
     """Return the bright pixels (H, W) bool of a mask file: their luminance is more than a half of white. Transparent pixels are not bright.
 
-    image: (H, W, C), which the mask belongs to. name: of the mask in messages.
+    Cameras store photographs with an orientation; a mask without one was painted on the upright photograph, and is turned. It is used as it
+    is if its orientation, or a size that fits only then, says so. Also returns a sentence if it was turned.
+
+    image: which the mask belongs to. name: of the mask in messages.
 
     Raises:
         FileError: the file cannot be read.
@@ -53,9 +57,13 @@ def read_mask(path: Path, image: np.ndarray, image_path: Path, name: str) -> np.
     """
     mask = read_image_file(path, is_color=False)
     height, width = mask.pixels.shape[:2]
-    if mask.pixels.shape[:2] != image.shape[:2]:
+    rows, columns = image.pixels.shape[:2]
+    fitting = (columns, rows) if image.orientation in SWAPPED and mask.orientation == UPRIGHT else (rows, columns)
+    is_turned = mask.orientation == UPRIGHT != image.orientation and (height, width) == fitting
+    if not is_turned and (height, width) != (rows, columns):
+        stored = "" if image.orientation == UPRIGHT else f", stored with the orientation {image.orientation}"
         raise ImageError(
-            f'The {name} "{path}" has {width} x {height} pixels and the image "{image_path}" {image.shape[1]} x {image.shape[0]}; '
+            f'The {name} "{path}" has {width} x {height} pixels and the image "{image_path}" {columns} x {rows}{stored}; '
             "they must have the same size."
         )
     if np.isnan(mask.pixels).any():
@@ -64,7 +72,11 @@ def read_mask(path: Path, image: np.ndarray, image_path: Path, name: str) -> np.
     luminance = colors @ LUMINANCE if colors.shape[2] == 3 else colors[..., 0]
     if mask.storage.has_alpha and mask.format != "openexr":  # whose colors are multiplied by alpha already
         luminance = luminance * mask.pixels[..., -1]
-    return luminance > THRESHOLD
+    bright = luminance > THRESHOLD
+    if not is_turned:
+        return bright, None
+    remark = f"The {name} was turned as the image is stored, with the orientation {image.orientation}."
+    return from_upright(bright, image.orientation), remark
 
 
 def _colors(image: ImageFile) -> np.ndarray:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
 import strategies
 from farfield.addon.bridge.blender import bundled_folders, import_blender_module
@@ -160,12 +161,20 @@ def test_layout_and_compression_of_openexr_are_kept(tmp_path):
     assert (spec.getattribute("compression"), spec.getattribute("Copyright")) == ("piz", "Ada")
 
 
-def test_lossy_openexr_becomes_lossless(tmp_path):
-    stored = RANDOM.random((32, 32, 3)).astype(np.float16)
-    image = read_image_file(write_image(tmp_path / "a.exr", stored, {"compression": "dwaa"}))
-    write_image_file(tmp_path / "b.exr", image.pixels, image, np.zeros((32, 32), bool))
+@pytest.mark.parametrize(
+    ("compression", "dtype", "expected"),
+    [("dwaa", np.float16, "zip"), ("pxr24", np.float32, "zip"), ("pxr24", np.float16, "pxr24"), ("piz", np.float32, "piz")],
+)
+def test_lossy_openexr_becomes_lossless(tmp_path, compression, dtype, expected):
+    stored = RANDOM.random((32, 32, 3)).astype(dtype)
+    image = read_image_file(write_image(tmp_path / "a.exr", stored, {"compression": compression}))
+    pixels, changed = image.pixels.copy(), np.zeros((32, 32), bool)
+    changed[5, 7] = True
+    pixels[5, 7] = 0.123456789
+    write_image_file(tmp_path / "b.exr", pixels, image, changed)
     written, spec = read_image(tmp_path / "b.exr")
-    assert spec.getattribute("compression") == "zip" and written.tobytes() == image.stored.tobytes()
+    assert spec.getattribute("compression") == expected
+    assert written[~changed[::-1]].tobytes() == image.stored[~changed[::-1]].tobytes()
 
 
 def test_jpeg_keeps_its_quality(tmp_path):
@@ -274,7 +283,22 @@ def write_cmyk_tiff(path):
     write_image(path, np.zeros((4, 4, 4), np.uint8), {"tiff:ColorSpace": "CMYK"}, name)
 
 
+def write_animation(path):
+    """Write a PNG file with two frames."""
+    frames = [Image.new("RGB", (8, 8), color) for color in ("red", "blue")]
+    frames[0].save(path, save_all=True, append_images=frames[1:])
+
+
+def write_zeros(path, side, mode):
+    """Write an image of zeros, which compression makes as small as it can."""
+    Image.new(mode, (side, side)).save(path, **({"compression": "tiff_adobe_deflate"} if path.suffix == ".tif" else {}))
+
+
 REFUSED = {
+    "apng.png": (write_animation, "several images"),
+    "bits.png": (lambda path: write_zeros(path, 13_000, "1"), "working on it takes 4.2 GiB"),
+    "gray.png": (lambda path: write_zeros(path, 13_000, "L"), "working on it takes 4.2 GiB"),
+    "gray.tif": (lambda path: write_zeros(path, 13_000, "L"), "working on it takes 4.2 GiB"),
     "missing.png": (lambda _: None, "does not exist"),
     "folder.png": (lambda path: path.mkdir(), "is a folder"),
     "empty.png": (lambda path: path.write_bytes(b""), "is empty"),
@@ -349,6 +373,17 @@ def test_no_module_of_pips_bpy_replaces_an_installed_one():
 def test_a_missing_module_is_named():
     with pytest.raises(FileError, match=r'^"a\.png" needs the module no_such_module, which this Blender lacks; stop\.$'):
         import_blender_module("no_such_module", '"a.png"', "stop")
+
+
+def test_a_larger_file_may_need_more_memory(tmp_path, monkeypatch):
+    path = write_image(tmp_path / "a.png", BYTES[:, :, :3])
+    work_bytes = 256 * 256 * (3 * (8 + 3) + 16)
+    monkeypatch.setattr(image_files, "MAX_WORK_BYTES", work_bytes - 1)
+    monkeypatch.setattr(image_files, "WORK_BYTES_PER_FILE_BYTE", work_bytes // path.stat().st_size)
+    with pytest.raises(FileError, match="working on it takes"):
+        read_image_file(path)
+    monkeypatch.setattr(image_files, "WORK_BYTES_PER_FILE_BYTE", work_bytes // path.stat().st_size + 1)
+    read_image_file(path)
 
 
 def test_the_size_limit_is_checked_before_anything_is_allocated(tmp_path, monkeypatch):

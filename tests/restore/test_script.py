@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
 import restore
 import strategies
@@ -145,6 +146,29 @@ def test_bright_opaque_pixels_of_a_mask_count(folder, name):
     write_image(folder / name, mask)
     assert "80 pixels" in run(folder / "image.png", folder / name, "--out", folder / "out.png", *SMOOTH)
     assert_restored(folder / "image.png", folder / "out.png")
+
+
+@pytest.mark.parametrize("orientation", range(2, 9))
+@pytest.mark.parametrize("extension", [".jpg", ".png", ".tif"])
+def test_a_mask_of_the_upright_photograph_is_turned_as_the_photograph_is_stored(folder, calls, orientation, extension):
+    stored, mask = texture()[:30], np.zeros((30, SIZE, 1), np.uint8)
+    mask[HOLE] = 255
+    image = write_image(folder / f"photo{extension}", stored, {"Orientation": orientation})
+    transposition = {2: 0, 3: 3, 4: 1, 5: 5, 6: 4, 7: 6, 8: 2}[orientation]  # as Pillow shows an image with this orientation upright
+    upright = np.asarray(Image.fromarray(mask[..., 0]).transpose(transposition))
+    write_image(folder / "upright.png", upright[..., None])
+    write_image(folder / "stored.png", mask, {"Orientation": orientation})
+    out = folder / f"out{extension}"
+    message = run(image, folder / "upright.png", "--out", out, *SMOOTH, "--report", folder / "report.json")
+    remark = f"The mask was turned as the image is stored, with the orientation {orientation}."
+    assert message == f"Restored 80 pixels in 1 hole. {remark}"
+    assert json.loads((folder / "report.json").read_text(encoding="utf-8"))["images"][0]["remarks"] == [remark]
+    out.unlink()
+    assert run(image, folder / "stored.png", "--out", out, *SMOOTH) == "Restored 80 pixels in 1 hole."
+    assert all(np.array_equal(call[1], mask[::-1, :, 0] > 0) for call in calls)
+    write_image(folder / "small.png", mask[:-1])
+    with pytest.raises(ImageError, match=f"40 x 30, stored with the orientation {orientation}; they must have the same size"):
+        run(image, folder / "small.png", "--out", folder / "none.png")
 
 
 def test_masks_and_kinds_of_data_reach_the_restoration(folder, calls):

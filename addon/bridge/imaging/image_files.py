@@ -18,13 +18,20 @@ from .image_specs import build_spec, target_storage
 from .image_storage import ImageFile, Storage, from_pixels, to_pixels
 
 EXTENSIONS = {".png": "png", ".tif": "tiff", ".tiff": "tiff", ".jpg": "jpeg", ".jpeg": "jpeg", ".exr": "openexr"}  # and formats
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+MAX_PNG_CHUNKS = 10_000  # in front of the pixels
 SIGNATURES = {
-    b"\x89PNG\r\n\x1a\n": "png", b"II*\0": "tiff", b"MM\0*": "tiff", b"II+\0": "tiff", b"MM\0+": "tiff", b"\xff\xd8\xff": "jpeg",
+    PNG_SIGNATURE: "png", b"II*\0": "tiff", b"MM\0*": "tiff", b"II+\0": "tiff", b"MM\0+": "tiff", b"\xff\xd8\xff": "jpeg",
     b"v/1\x01": "openexr",
 }  # fmt: skip
 DTYPES = {"uint8": np.uint8, "uint16": np.uint16, "half": np.float16, "float": np.float32}
 MAX_CHANNELS = 4
 MAX_BYTES = 2**32  # Pixels in memory, as float32: 16384 x 16384 with four channels.
+# Bytes that reading, restoring and writing an image may take, with all copies and masks: this many, or more for larger files. Compression
+# reaches any ratio in uniform images, but these need no gigabytes.
+MAX_WORK_BYTES, WORK_BYTES_PER_FILE_BYTE = 2**32, 4096
+PIXEL_BYTES = 16  # of masks, labels of holes and luminance, per pixel
+PIXEL_COPIES, STORED_COPIES = 2, 3  # arrays of float32, and of the type of the file
 MAX_RATIO = 35_000  # decoded to file size: deflate reaches 1032, and one bit of a palette image becomes four bytes
 UNLIMITED_COMPRESSIONS = ("ccitt", "dwa")  # may reach any ratio in uniform images
 PNG_END = b"IEND\xaeB`\x82"  # its absence is no error of the reader
@@ -49,10 +56,12 @@ def read_image_file(path: Path, *, is_color: bool = True) -> ImageFile:
         spec = file.spec()
         if file.format_name() != file_format:
             raise _damaged(path)
+        if file_format == "png" and _is_animated(path):
+            raise _several_images(path)
         _check_contents(path, spec)
         _check_size(path, spec)
         if file.seek_subimage(1, 0) or file.seek_subimage(0, 1):
-            raise FileError(f'"{path}" contains several images or resolutions; save one image per file.')
+            raise _several_images(path)
         file.geterror()  # Clears that of the search for further images.
         if not file.seek_subimage(0, 0):
             raise _damaged(path)
@@ -186,8 +195,33 @@ def _check_size(path: Path, spec: Any) -> None:
         )
     with convert_os_errors(f'Cannot read "{path}"'):
         file_size = path.stat().st_size
+    sample_bytes = 4 * PIXEL_COPIES + STORED_COPIES * np.dtype(DTYPES[str(spec.format)]).itemsize
+    work_bytes = size * sample_bytes + spec.width * spec.height * PIXEL_BYTES
     if size > MAX_RATIO * file_size and not spec.get_string_attribute("compression").startswith(UNLIMITED_COMPRESSIONS):
         raise _damaged(path)
+    if work_bytes > max(MAX_WORK_BYTES, WORK_BYTES_PER_FILE_BYTE * file_size):
+        raise FileError(
+            f'"{path}" has {spec.width} x {spec.height} pixels in {file_size:,} bytes; working on it takes {work_bytes / 2**30:.1f} GiB, '
+            "so use a smaller image."
+        )
+
+
+def _is_animated(path: Path) -> bool:
+    """Whether a PNG file has several frames: a chunk `acTL` before the pixels."""
+    with convert_os_errors(f'Cannot read "{path}"'), path.open("rb") as file:
+        file.seek(len(PNG_SIGNATURE))
+        for _ in range(MAX_PNG_CHUNKS):
+            start = file.read(8)
+            if start[4:] == b"acTL":
+                return True
+            if len(start) < 8 or start[4:] == b"IDAT":
+                return False
+            file.seek(int.from_bytes(start[:4], "big") + 4, os.SEEK_CUR)
+    return False
+
+
+def _several_images(path: Path) -> FileError:
+    return FileError(f'"{path}" contains several images or resolutions; save one image per file.')
 
 
 def _damaged(path: Path) -> FileError:

@@ -23,6 +23,7 @@ CHANNEL_NAMES = {1: ("Y",), 2: ("Y", "A"), 3: ("R", "G", "B"), 4: ("R", "G", "B"
 JPEG_QUALITY = 97
 PNG_COMPRESSION = 3  # 1 to 9; six times as fast as the usual 6, for files that are a few percent larger.
 LOSSY_COMPRESSIONS = {"openexr": ("b44", "b44a", "dwaa", "dwab"), "tiff": ("jpeg",)}  # would change every pixel again
+LOSSY_FOR_FLOATS = "pxr24"  # keeps 24 of 32 bits; halves are lossless
 # Attributes that describe the storage in the file that was read, or the color profile in words: PNG would keep them as comments.
 STORAGE_PREFIXES = ("oiio:BitsPerSample", "oiio:subimages", "ICCProfile:", "tiff:PhotometricInterpretation", "tiff:ColorSpace")
 FORMAT_PREFIXES = ("tiff:", "png:", "jpeg:", "openexr:", "compression", "planarconfig", "screenWindow")
@@ -57,7 +58,9 @@ def build_spec(oiio: ModuleType, like: ImageFile, file_format: str, storage: Sto
         _reset_layout(spec)
     if storage.is_linear != like.storage.is_linear:
         _erase(spec, COLOR_PREFIXES)
-    if spec.get_string_attribute("compression").partition(":")[0] in LOSSY_COMPRESSIONS.get(file_format, ()):
+    compression = spec.get_string_attribute("compression").partition(":")[0]
+    is_lossy_for_floats = compression == LOSSY_FOR_FLOATS and storage.dtype == np.float32
+    if is_lossy_for_floats or compression in LOSSY_COMPRESSIONS.get(file_format, ()):
         spec.attribute("compression", "zip")
     if file_format == "jpeg":
         spec.attribute("Compression", f"jpeg:{JPEG_QUALITY}")

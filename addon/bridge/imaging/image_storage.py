@@ -11,6 +11,7 @@ import numpy as np
 
 from ...core.imaging.colors import decode_signed_srgb, encode_signed_srgb
 from ...core.imaging.images import MIN_ALPHA
+from ...core.imaging.orientation import ORIENTATIONS, UPRIGHT
 from ...core.jobs.chunks import slices
 
 CHUNK_PIXELS = 1 << 19  # converted at once, so that temporary arrays stay small
@@ -49,6 +50,12 @@ class ImageFile:
     format: str
     is_color: bool
     spec: Any
+
+    @property
+    def orientation(self) -> int:
+        """The orientation of the camera, see `core.imaging.orientation`, which is not applied to the pixels."""
+        orientation = self.spec.get_int_attribute("Orientation", UPRIGHT)
+        return orientation if orientation in ORIENTATIONS else UPRIGHT
 
     @property
     def depth(self) -> str:
