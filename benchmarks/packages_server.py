@@ -20,7 +20,7 @@ from lib.package_server import run_server
 
 CLIENTS, REQUESTS = 100, 100_000
 CANARY = b"canary-5d41402abc4b2a76"
-NAMES = ("manifest.json", "mesh.bin", "textures.bin", "model-L0.glb", "index.html", "main.js", "secret.txt", "private.txt", "link.glb", "")
+NAMES = ("manifest.json", "mesh.bin", "textures.bin", "levels.glb", "index.html", "main.js", "secret.txt", "private.txt", "link.glb", "")
 PIECES = (
     *(
         "..",
@@ -72,7 +72,7 @@ def measure_server(given: Namespace) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "package"
         write_opaque_package(folder, seed)
-        (folder / "model-L0.glb").write_bytes(b"glTF" * 1000)
+        (folder / "levels.glb").write_bytes(b"glTF" * 1000)
         (folder / "sub").mkdir()
         for path in (folder.parent / "secret.txt", folder / "private.txt", folder / "sub" / "inner.glb"):
             path.write_bytes(CANARY)

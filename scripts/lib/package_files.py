@@ -19,7 +19,7 @@ environment.import_farfield()
 
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.files.file_access import error_reason
-from farfield.addon.core.packages.files import read_page
+from farfield.addon.core.packages.files import LEVELS_GLB, read_page
 from farfield.addon.core.packages.manifest import MANIFEST, MESH, TEXTURES, read_manifest
 
 TEXT_TYPES = {
@@ -50,8 +50,8 @@ class PackageFile:
 
 
 def open_package(folder: Path) -> dict[str, PackageFile]:
-    """Return the files of the package in `folder` by name, open for reading: manifest.json, mesh.bin, textures.bin and every .glb; and
-    the page of this Farfield, whatever page the folder has. Links and everything else in the folder are left out.
+    """Return the files of the package in `folder` by name, open for reading: manifest.json, mesh.bin, textures.bin and levels.glb; and the
+    page of this Farfield, whatever page the folder has. Links and everything else in the folder are left out.
 
     Raises:
         FileError: the manifest is damaged, a file is missing, cannot be read, or has another size than the manifest says.
@@ -61,8 +61,7 @@ def open_package(folder: Path) -> dict[str, PackageFile]:
     try:
         with os.scandir(folder) as entries:
             for entry in entries:
-                is_ours = entry.name in (MANIFEST, MESH, TEXTURES) or entry.name.endswith(".glb")
-                if is_ours and entry.is_file(follow_symlinks=False):
+                if entry.name in (MANIFEST, MESH, TEXTURES, LEVELS_GLB) and entry.is_file(follow_symlinks=False):
                     paths[entry.name] = folder / entry.name
     except OSError as error:
         raise FileError(f'The folder "{folder}" cannot be read ({error_reason(error)}); choose the folder of a package.') from error

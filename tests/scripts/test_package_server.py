@@ -29,7 +29,22 @@ PATH_TRICKS = [
     *("/../secret.txt", "/%2e%2e/secret.txt", "/..%2fsecret.txt", "/%2e%2e%2fsecret.txt", "/%252e%252e/secret.txt"),
     *("/..\\secret.txt", "/%5c..%5csecret.txt", "\\..\\secret.txt", "//secret.txt", "/./../secret.txt", "/mesh.bin/../../secret.txt"),
     *("/%c0%ae%c0%ae/secret.txt", "/%uff0e%uff0e/secret.txt", "/\u2025/secret.txt", "/secret.txt%00.bin", "/mesh.bin%00", "/%00"),
-    *("/private.txt", "/link.glb", "/sub/inner.glb", "/sub", "/.", "/..", "/mesh.bin/", "/MESH.BIN", "/mesh.bin ", "/%2Fmesh.bin"),
+    *(
+        "/private.txt",
+        "/private.glb",
+        "/.hidden.glb",
+        "/mesh.bin~",
+        "/.manifest.json",
+        "/link.glb",
+        "/sub/inner.glb",
+        "/sub",
+        "/.",
+        "/..",
+        "/mesh.bin/",
+        "/MESH.BIN",
+        "/mesh.bin ",
+        "/%2Fmesh.bin",
+    ),
     *(
         "file:///etc/passwd",
         "http://127.0.0.1/secret.txt",
@@ -48,10 +63,10 @@ def package(tmp_path_factory) -> Path:
     """A package with a secret next to it, a file that does not belong to it, and a link to the secret."""
     folder = tmp_path_factory.mktemp("served") / "package"
     write_opaque_package(folder)
-    (folder / "model-L0.glb").write_bytes(b"glTF" * 100)
-    (folder / "Kürbis (1).glb").write_bytes(b"glTF")
+    (folder / "levels.glb").write_bytes(b"glTF" * 100)
     (folder / "sub").mkdir()
-    for path in (folder.parent / "secret.txt", folder / "private.txt", folder / "sub" / "inner.glb"):
+    others = ("private.txt", "private.glb", ".hidden.glb", "mesh.bin~", ".manifest.json", "sub/inner.glb")
+    for path in (folder.parent / "secret.txt", *(folder / name for name in others)):
         path.write_bytes(SECRET)
     with suppress(OSError):  # no rights to make links on Windows
         (folder / "link.glb").symlink_to(folder.parent / "secret.txt")
@@ -83,7 +98,7 @@ def exchange(url: str, content: bytes) -> bytes:
 
 
 def test_files_of_package_are_sent(url, package):
-    for name in ("manifest.json", "mesh.bin", "textures.bin", "model-L0.glb", "Kürbis (1).glb"):
+    for name in ("manifest.json", "mesh.bin", "textures.bin", "levels.glb"):
         status, headers, body = request(url, quote(f"/{name}"))
         assert (status, body) == (200, (package / name).read_bytes())
         assert headers["Access-Control-Allow-Origin"] == "*"
