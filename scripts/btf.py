@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not put
 
 from lib import environment
 
-environment.ensure()
+environment.ensure(exits_on_signals=True)
 environment.import_farfield()
 
 import bpy

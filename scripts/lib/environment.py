@@ -18,6 +18,7 @@ import importlib.metadata
 import importlib.util
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -56,10 +57,11 @@ class Lock(NamedTuple):
 LOCKS = (Lock("5.0", (3, 11)), Lock("5.2", (3, 13)), Lock("4.5", (3, 11)))  # the first one for a Python is the default
 
 
-def ensure(extra_modules: tuple[str, ...] = ()) -> None:
+def ensure(extra_modules: tuple[str, ...] = (), *, exits_on_signals: bool = False) -> None:
     """Return if the running Python has all packages, otherwise restart the script in an environment that has them.
 
-    `extra_modules` names the modules that this script needs in addition to those of the extension. Exits with code 2 and an error message
+    `extra_modules` names the modules that this script needs in addition to those of the extension. `exits_on_signals` says that the script
+    ends in `command_line.run`, until which signals end it at once, with exit code 130. Exits with code 2 and an error message
     on stderr when no environment can be created, and with 130 when the user cancels.
     """
     _open_closed_streams()
@@ -68,6 +70,8 @@ def ensure(extra_modules: tuple[str, ...] = ()) -> None:
         return
     lock = _select_lock()
     if read_stamp(Path(sys.prefix)) == lock.digest() or _is_user_environment_complete(lock, extra_modules):
+        if exits_on_signals and "bpy" not in sys.modules:
+            _exit_on_signals()
         return
     folder = environments_folder() / lock.name
     try:
@@ -76,6 +80,20 @@ def ensure(extra_modules: tuple[str, ...] = ()) -> None:
         _restart(environment_python(folder))
     except KeyboardInterrupt:
         sys.exit(130)
+
+
+def _exit_on_signals() -> None:
+    """Let Ctrl+C and termination signals end the process while it imports modules: Blender prints the exceptions of its add-ons, goes on,
+    and the signal would be lost. `command_line.run` installs other handlers."""
+
+    def end(*_: object) -> NoReturn:
+        os.write(2, b"Cancelled.\n")
+        os._exit(130)
+
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):  # others are the caller's
+            signal.signal(number, end)
 
 
 def _open_closed_streams() -> None:

@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import venv
@@ -143,3 +144,33 @@ def pins(path: Path) -> dict[str, str]:
         assert "://" not in entry and " @ " not in entry
         versions[name] = version
     return versions
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows sends no signals to one process")
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_signal_before_blender_is_imported_ends_the_script(name):
+    """Blender prints exceptions of its add-ons and goes on, as this loop does with an exception of the default handler."""
+    code = "\n".join(
+        [
+            "import sys, time",
+            f"sys.path.insert(0, {str(environment.ROOT / 'scripts')!r})",
+            "from lib import environment",
+            "environment.ensure(exits_on_signals=True)",
+            "print('ready', flush=True)",
+            "while True:",
+            "    try:",
+            "        time.sleep(10)",
+            "    except KeyboardInterrupt:",
+            "        print('lost', flush=True)",
+        ]
+    )
+    number = getattr(signal, name)
+    inherited = signal.signal(number, signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL)
+    try:
+        process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    finally:
+        signal.signal(number, inherited)
+    with process:
+        assert process.stdout.readline() == "ready\n"
+        process.send_signal(number)
+        assert (process.wait(20), process.stdout.read(), process.stderr.read()) == (130, "", "Cancelled.\n")
