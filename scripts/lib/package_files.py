@@ -65,7 +65,7 @@ def open_package(folder: Path) -> dict[str, PackageFile]:
                     paths[entry.name] = folder / entry.name
     except OSError as error:
         raise FileError(f'The folder "{folder}" cannot be read ({error_reason(error)}); choose the folder of a package.') from error
-    files = {name: _to_file(io.BytesIO(content), Path(name).suffix) for name, content in read_page().items()}
+    files = {name: _to_file(io.BytesIO(content), Path(name).suffix) for name, content in read_page(manifest.mirrors).items()}
     try:
         for name, path in paths.items():
             files[name] = _open_file(path)

@@ -21,6 +21,7 @@ from farfield.addon.core.packages.manifest import (
     Section,
     decode_manifest,
     encode_manifest,
+    find_origin,
     read_manifest,
 )
 from farfield.addon.core.packages.planning import ErrorModel
@@ -124,6 +125,35 @@ def test_values_of_another_type_or_out_of_range_are_damaged(path, value):
         place = place[key]
     place[path[-1]] = value
     with pytest.raises(FileError, match="is damaged; export the package again"):
+        decode_manifest(json.dumps(content).encode())
+
+
+@pytest.mark.parametrize(
+    ("url", "origin"),
+    [
+        ("https://example.org/", "https://example.org"),
+        ("http://127.0.0.1:8000/a/b/", "http://127.0.0.1:8000"),
+        ("https://[::1]:443/x/", "https://[::1]:443"),
+        ("https://müller.example/größe/", "https://xn--mller-kva.example"),
+    ],
+)
+def test_the_origin_of_a_mirror(url, origin):
+    assert find_origin(url) == origin
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        *("", "/", "copies/", "//example.org/", "https:///", "https://example.org", "ftp://example.org/", "javascript:alert(1)/"),
+        *("https://example.org;script-src *//", "https://a b/", 'https://a">/', "https://user:word@example.org/", "https://a:99999999/"),
+        *("https://*/", "https://a,b/", "https://'self'/", "https://[::1/", "https://" + "a" * 100 + ".example/"),
+    ],
+)
+def test_a_mirror_that_is_no_folder_on_a_web_server_is_refused(url):
+    with pytest.raises(ValueError):
+        find_origin(url)
+    content = json.loads(encode_manifest(make_manifest())) | {"mirrors": [url]}
+    with pytest.raises(FileError, match="is damaged"):
         decode_manifest(json.dumps(content).encode())
 
 

@@ -1,7 +1,9 @@
 """The page in Chromium: how soon the model is on screen, that it is complete within the limit, and that pixels are those of the level."""
 
 import base64
+import gzip
 import io
+import json
 import re
 import threading
 import time
@@ -228,9 +230,47 @@ def test_other_servers_and_packages(page, package, tmp_path):
             page.wait_for(f"document.getElementById('status')?.textContent.includes('{message}')")
 
 
+STATUS = "document.getElementById('status')?.textContent"
+
+
+def test_the_page_asks_no_server_but_its_own_and_the_mirrors(page, package, tmp_path):
+    folder, _ = package
+    with run_server(folder) as other, run_server(folder) as url:
+        page.open(f"{url}?package={other}")
+        page.wait_for(f"{STATUS}?.includes('cannot be loaded')")
+        for address in ("http://", "http://[", "//:"):
+            page.open(f"{url}?package={address}")
+            page.wait_for(f"{STATUS} === 'The address names no package.'")
+        assert page.evaluate("document.getElementById('late')") is None
+        content = json.loads((folder / "manifest.json").read_bytes())
+        files = {name: (folder / name).read_bytes() for name in (MESH, TEXTURES)}
+        files["manifest.json"] = json.dumps(content | {"textures": [content["textures"][0] | {"tile_size": 0.001}]}).encode()
+        write_files(tmp_path / "frozen", files | read_page())
+    with run_static_server(tmp_path) as url:
+        page.open(f"{url}frozen/")
+        page.wait_for(f"{STATUS}?.includes('manifest.json')")
+
+
+def test_servers_that_are_set_up_wrong_are_named(page, package):
+    folder, _ = package
+    files = {path.name: path.read_bytes() for path in folder.iterdir()} | read_page()
+    with run_static_server(folder, files, script_type="text/plain") as url:
+        page.open(url)
+        page.wait_for("document.getElementById('late')?.getAnimations().length === 1")
+        assert page.evaluate("getComputedStyle(late).visibility") == "hidden"
+        page.evaluate("late.getAnimations()[0].finish()")
+        assert page.evaluate("[getComputedStyle(late).visibility, late.textContent.includes('text/javascript')]") == ["visible", True]
+    with run_static_server(folder, files, is_compressing=True) as url:
+        page.open(url)
+        page.wait_for(f"{STATUS}?.includes('compress what it must send in ranges') || {FINISHED}")
+
+
 @contextmanager
-def run_static_server(folder: Path) -> Iterator[str]:
-    """Serve a folder without ranges, as the simplest servers do. Yields its URL."""
+def run_static_server(
+    folder: Path, files: dict[str, bytes] | None = None, script_type: str = "text/javascript", is_compressing: bool = False
+) -> Iterator[str]:
+    """Serve a folder without ranges, as the simplest servers do, or these files, with a type of .js files, and compressed. Yields its
+    URL."""
 
     class Handler(SimpleHTTPRequestHandler):
         def __init__(self, *arguments) -> None:
@@ -238,6 +278,20 @@ def run_static_server(folder: Path) -> Iterator[str]:
 
         def log_message(self, *arguments) -> None:
             pass
+
+        def do_GET(self) -> None:
+            if files is None:
+                super().do_GET()
+                return
+            name = self.path.strip("/") or "index.html"
+            content = gzip.compress(files.get(name, b"")) if is_compressing else files.get(name, b"")
+            self.send_response(200 if name in files else 404)
+            self.send_header("Content-Type", script_type if name.endswith(".js") else self.guess_type(name))
+            self.send_header("Content-Length", str(len(content)))
+            if is_compressing:
+                self.send_header("Content-Encoding", "gzip")
+            self.end_headers()
+            self.wfile.write(content)
 
     with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
         thread = threading.Thread(target=server.serve_forever)

@@ -12,9 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from small_packages import write_opaque_package
 
 from farfield.addon.core.packages.files import PAGE_FOLDER, join_modules, read_page
 from farfield.addon.core.packages.increments import Increments, encode_increments
+from farfield.addon.core.packages.manifest import encode_manifest
 from farfield.addon.core.packages.tile_pyramid import TilePyramid
 
 MAX_BYTES = 24_000  # Size of all files, each compressed.
@@ -59,6 +61,58 @@ def test_page_asks_nobody_else():
     assert not any(tag == "style" or name.startswith("on") or name == "style" for tag, attributes in tags for name in attributes)
 
 
+def test_the_policy_names_the_mirrors_and_no_other_server():
+    def sources(mirrors: tuple[str, ...]) -> list[str]:
+        tags = Tags(read_page(mirrors)["index.html"].decode()).found
+        policy = next(attributes["content"] for tag, attributes in tags if attributes.get("http-equiv") == "Content-Security-Policy")
+        return next(part.split() for part in policy.split(";") if part.strip().startswith("connect-src"))
+
+    assert sources(()) == ["connect-src", "'self'"]
+    mirrors = ("https://example.org/a/", "https://example.org/b/", "http://127.0.0.1:8000/")
+    assert sources(mirrors) == ["connect-src", "'self'", "https://example.org", "http://127.0.0.1:8000"]
+
+
+@needs_node
+def test_page_refuses_manifests_that_make_no_sense(tmp_path):
+    """Each change is one sentence, and never an error of JavaScript."""
+    code = """
+      const { fetchManifest } = await import(page + "loader.js");
+      const answers = [];
+      for (const manifest of value) {
+        globalThis.fetch = async () => new Response(manifest);
+        answers.push(await fetchManifest("http://127.0.0.1/").then(() => "accepted", (error) => error.message));
+      }
+      return answers;
+    """
+    manifest = json.loads(encode_manifest(write_opaque_package(tmp_path / "package")))
+    texture = {"role": "base_color", "width": 64, "height": 64, "tile_size": 32, "headers": ["00"]}
+    manifest |= {"textures": [texture], "mirrors": ["https://example.org/a/"]}
+    errors, texts = manifest["errors"], ["[1", "null"]
+    changes = [
+        *({"textures": [texture | {"tile_size": value}]} for value in (0.001, 0, -1, 1e9, "32", None, 2.5)),
+        *({"textures": [texture | {"width": value}]} for value in (0, 1e9, None)),
+        {"textures": [texture | {"width": 65536, "tile_size": 1}]},
+        *({"textures": [texture | {"headers": value}]} for value in ([""], [5], None, "00", ["zz!"])),
+        *({"textures": value} for value in (None, [None], {})),
+        *({"mirrors": value} for value in (None, ["javascript:alert(1)"], ["http://"], [5], "https://a/")),
+        *({"bounds": value} for value in (None, [], [None, None], [[0, 0, 0], [1, 1]], [[0, 0, "0"], [1, 1, 1]])),
+        *({"uv_bounds": value} for value in (None, [[0, 0]], [[0], [1]])),
+        *({"steps": value} for value in (None, [1], ["a", "b"])),
+        *({"increment_count": value} for value in (2**31, -1, None, 1.5)),
+        *({"first_increment": value} for value in (2**40, -1, None)),
+        *({"levels": value} for value in (None, [], [None], [manifest["levels"][0] | {"vertex_count": -1}])),
+        {"levels": [manifest["levels"][0] | {"triangle_counts": [1, 2]}]},
+        *({"errors": value} for value in (None, {}, errors | {"states": []}, errors | {"levels": [None]}, errors | {"exponent": 0})),
+        *({"materials": value} for value in (None, [], [{"textures": {"base_color": 7}}])),
+        *({"time_limit": value} for value in (0, None, -1)),
+        *({"files": value} for value in (None, {}, {"mesh.bin": [2**40, ""], "textures.bin": [0, ""]})),
+    ]
+    answers = run_module(tmp_path, code, [json.dumps(manifest), *(json.dumps(manifest | change) for change in changes), *texts])
+    assert answers[0] == "accepted"
+    unexpected = [(change, answer) for change, answer in zip([*changes, *texts], answers[1:], strict=True) if "manifest.json" not in answer]
+    assert not unexpected
+
+
 def test_page_names_files_that_exist():
     page = read_page()
     tags = Tags(page["index.html"].decode()).found
@@ -69,7 +123,7 @@ def test_page_names_files_that_exist():
 def test_all_modules_are_joined_and_preloaded():
     names = {path.name for path in PAGE_FOLDER.glob("*.js")}
     script = read_page()["main.js"].decode()
-    assert set(re.findall(r"^const \$(\w+) = ", script, re.MULTILINE)) == {Path(name).stem for name in names}
+    assert set(re.findall(r"^const \$(\w+)=", script, re.MULTILINE)) == {Path(name).stem for name in names}
     assert not re.search(r"^(import|export)\b", script, re.MULTILINE)
     preloaded = set(re.findall(r'"modulepreload" href="([^"]+)"', (PAGE_FOLDER / "index.html").read_text("utf-8")))
     assert preloaded | {"main.js"} == names

@@ -5,6 +5,7 @@ The page that shows a package is three files that any static web server sends wi
 
 import hashlib
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from ..errors import FileError
 from ..files.atomic_write import atomic_folder
 from ..files.file_access import check_writable, convert_os_errors, exists, is_file
 from .increments import Increments, decode_increments
-from .manifest import MANIFEST, MESH, TEXTURES, Manifest, encode_manifest, read_manifest
+from .manifest import MANIFEST, MESH, TEXTURES, Manifest, encode_manifest, find_origin, read_manifest
 
 LEVELS_GLB = "levels.glb"
 PAGE_FOLDER = Path(__file__).resolve().parent / "page"
@@ -22,6 +23,10 @@ INDEX, STYLE, SCRIPT = "index.html", "style.css", "main.js"
 PACKAGE_FILES = (MANIFEST, MESH, TEXTURES, LEVELS_GLB, INDEX, STYLE, SCRIPT)
 COMMENT = re.compile(r"^[ \t]*(?://[^\n]*|/\*\*.*?\*/)\n|[ \t]+// [^\n]*", re.MULTILINE | re.DOTALL)
 IMPORT = re.compile(r'^import \{ ([^}]+) \} from "\./(\w+)\.js";$', re.MULTILINE)
+# Texts, templates without further ones, and regular expressions that begin with ^ keep their spaces; others around signs mean nothing.
+KEPT = re.compile(r"""("(?:\\.|[^"\\\n])*"|`(?:\\.|[^`\\])*`|/\^[^\n]*?/(?=\.))""")
+SPACES = re.compile(r" *([,;{}()=?:&|<>*!\[\]]) *")
+POLICY_SOURCES = "connect-src 'self'"  # in the page's Content Security Policy
 EXPORT = re.compile(r"^export ((?:async )?(?:function\*?|class|const) (\w+))", re.MULTILINE)
 
 
@@ -48,7 +53,7 @@ def write_package(manifest: Manifest, contents: dict[str, bytes], folder: Path) 
     with atomic_folder(folder) as temporary:
         for name, content in contents.items():
             (temporary / name).write_bytes(content)
-        for name, content in read_page().items():
+        for name, content in read_page(manifest.mirrors).items():
             (temporary / name).write_bytes(content)
         (temporary / MANIFEST).write_bytes(encode_manifest(manifest))
 
@@ -113,11 +118,14 @@ def _check_increments(manifest: Manifest, increments: Increments, textures: byte
         raise FileError(f'"{TEXTURES}" of the package has increments that differ from their checksums; export the package again.')
 
 
-def read_page() -> dict[str, bytes]:
-    """Return the files of the page by name. Modules are joined to one, so that a browser waits for fewer responses; comments (` // ` begins
-    one anywhere), indentation and empty lines are left out."""
+def read_page(mirrors: Sequence[str] = ()) -> dict[str, bytes]:
+    """Return the files of the page by name, for a package with these mirrors: browsers let the page ask them and its own server, and no
+    others. Modules are joined to one, so that a browser waits for fewer responses; comments (` // ` begins one anywhere), indentation,
+    empty lines and spaces around signs are left out."""
     index = re.sub(r'<link rel="modulepreload"[^\n]*\n', "", (PAGE_FOLDER / INDEX).read_text("utf-8"))
+    index = index.replace(POLICY_SOURCES, " ".join([POLICY_SOURCES, *dict.fromkeys(find_origin(url) for url in mirrors)]))
     script = COMMENT.sub("", join_modules({path.stem: path.read_text("utf-8") for path in sorted(PAGE_FOLDER.glob("*.js"))}))
+    script = "".join(part if number % 2 else SPACES.sub(r"\1", part) for number, part in enumerate(KEPT.split(script)))
     texts = {INDEX: index, STYLE: (PAGE_FOLDER / STYLE).read_text("utf-8"), SCRIPT: script}
     return {name: "".join(f"{line.strip()}\n" for line in text.splitlines() if line.strip()).encode() for name, text in texts.items()}
 

@@ -12,6 +12,7 @@ Everything that is compressed is raw DEFLATE (RFC 1951), which browsers decode.
 """
 
 import json
+import re
 import zlib
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -28,6 +29,8 @@ FORMAT, VERSION = "farfield-package", 3
 MAX_MANIFEST_BYTES = 16 * 2**20
 MAX_FILE_BYTES = 2**40
 MAX_INCREMENTS = 2**20
+URL = re.compile(r"(https?://)(\[[^]/]+\]|[^]/:@]+)(:[0-9]{1,5})?/(?:.*/)?")  # of a folder: scheme, host, port
+HOST = re.compile(r"[A-Za-z0-9._-]+|\[[0-9A-Fa-f:.]+\]")
 MAX_NUMBER = 1e30
 MANIFEST, MESH, TEXTURES = "manifest.json", "mesh.bin", "textures.bin"
 MAX_TEXTURE_SIDE = 65536
@@ -243,7 +246,7 @@ def _to_manifest(values: dict[str, Any]) -> Manifest:
     return Manifest(
         name=_text(values["name"]),
         files={_text(name): (_integer(size), _text(digest)) for name, (size, digest) in values["files"].items()},
-        mirrors=tuple(_text(url) for url in values["mirrors"]),
+        mirrors=tuple(_text(url) for url in values["mirrors"] if find_origin(url)),
         bounds=_to_bounds(values["bounds"], 3),
         uv_bounds=_to_bounds(values["uv_bounds"], 2),
         steps=tuple(_integer(count) for count in values["steps"]),
@@ -273,6 +276,19 @@ def _to_manifest(values: dict[str, Any]) -> Manifest:
         time_limit=_finite([values["time_limit"]], 1)[0],
         pixels=_finite([values["pixels"]], 1)[0],
     )
+
+
+def find_origin(url: str) -> str:
+    """Return scheme, host and port of the URL of a folder on a web server, as a Content Security Policy names them.
+
+    Raises:
+        ValueError: it is no such URL.
+    """
+    match = URL.fullmatch(url)
+    host = match[2].encode("idna").decode() if match is not None and not match[2].startswith("[") else match and match[2]
+    if not host or not HOST.fullmatch(host):
+        raise ValueError("a mirror is no URL of a folder on a web server")
+    return f"{match[1]}{host}{match[3] or ''}"
 
 
 def _to_errors(values: dict[str, Any]) -> ErrorModel:

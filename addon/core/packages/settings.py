@@ -1,12 +1,11 @@
 """Settings of packages."""
 
 from dataclasses import dataclass
-from urllib.parse import urlsplit
 
 from ..errors import SettingsError
 from ..settings import Settings, Unit, setting
+from .manifest import find_origin
 
-SCHEMES = ("http", "https")
 TILE_UNIT = 16  # pixels
 
 
@@ -38,7 +37,12 @@ class PackageSettings(Settings):
             SettingsError: one is no URL of a web server.
         """
         urls = [url.strip() for url in self.mirrors.split(",") if url.strip()]
+        urls = [url if url.endswith("/") else f"{url}/" for url in urls]
         for url in urls:
-            if urlsplit(url).scheme not in SCHEMES or not urlsplit(url).netloc:
-                raise SettingsError(f'Mirrors has "{url}", which is no URL; write it as https://example.org/folder/.', ("mirrors",))
-        return tuple(url if url.endswith("/") else f"{url}/" for url in urls)
+            try:
+                find_origin(url)
+            except ValueError as error:
+                raise SettingsError(
+                    f'Mirrors has "{url}", which is no URL; write it as https://example.org/folder/.', ("mirrors",)
+                ) from error
+        return tuple(urls)

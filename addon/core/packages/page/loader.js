@@ -3,7 +3,7 @@
 import { measure, subtract } from "./byte_intervals.js";
 import { addTable, begin, buildPlan, decide, estimateRate, isFinished, meanDifference } from "./controller.js";
 import { decodeLevel, inflate } from "./mesh_decoding.js";
-import { crc32, DamageError, openRange, PartialFile, Connection } from "./network.js";
+import { crc32, DamageError, explain, openRange, PartialFile, Connection } from "./network.js";
 import { readIncrements, ROW_BYTES, TileDecoder } from "./tiles.js";
 
 const FORMAT = "farfield-package", VERSION = 3;
@@ -11,7 +11,7 @@ const MESH = "mesh.bin", TEXTURES = "textures.bin";
 const REFERENCES = ["parents", "wedges", "uvs", "corners"], SECTIONS = [...REFERENCES, "positions"];
 const TICK_SECONDS = 0.05;
 const MANIFEST_TRIES = 3, MANIFEST_SECONDS = 15;
-const MAX_FILE_BYTES = 2 ** 31;
+const MAX_FILE_BYTES = 2 ** 31, MAX_INCREMENTS = 2 ** 20, MAX_SIDE = 65536; // as in manifest.py
 
 /** Fetch the manifest of the package in the folder `base` (URL). Throws an Error with a sentence for the user. */
 export async function fetchManifest(base) {
@@ -36,12 +36,22 @@ export async function fetchManifest(base) {
 
 function checkManifest(manifest) {
   try {
+    const { levels, materials, textures, errors, first_increment: first } = manifest;
+    const isSize = (value, low = 0, high = MAX_FILE_BYTES) => Number.isInteger(value) && value >= low && value <= high;
+    const areNumbers = (values, count) => values.length === count && values.every(Number.isFinite);
+    const isBox = ([low, high], count) => areNumbers(low, count) && areNumbers(high, count);
     const sizes = [MESH, TEXTURES].map((name) => manifest.files[name][0]);
-    const sections = manifest.levels.flatMap((level) => SECTIONS.map((name) => level[name]));
-    const fits = ([offset, size], end) => offset >= 0 && size >= 0 && offset + size <= end;
-    const isFine = sizes.every((size) => Number.isInteger(size) && size >= 0 && size <= MAX_FILE_BYTES) && manifest.errors.levels.length === manifest.levels.length && manifest.errors.states.length &&
-      sections.every((section) => fits(section, sizes[0])) && fits(manifest.increments, manifest.first_increment) &&
-      manifest.first_increment <= sizes[1] && manifest.levels.length && manifest.materials.length && manifest.time_limit > 0;
+    const fits = ([offset, size], end) => isSize(offset) && isSize(size) && offset + size <= end;
+    const isFine = sizes.every((size) => isSize(size)) && isSize(first, 0, sizes[1]) && fits(manifest.increments, first) &&
+      isSize(manifest.increment_count, 0, Math.min(sizes[1] - first, MAX_INCREMENTS)) && levels.length && materials.length && manifest.time_limit > 0 &&
+      levels.every((level) => SECTIONS.every((name) => fits(level[name], sizes[0])) && isSize(level.vertex_count) && isSize(level.wedge_count) &&
+        level.triangle_counts.length === materials.length && level.triangle_counts.every((count) => isSize(count))) &&
+      areNumbers(errors.levels, levels.length) && isSize(errors.states.length, 1, 64) && areNumbers(errors.states, errors.states.length) && errors.exponent >= 1 &&
+      isBox(manifest.bounds, 3) && isBox(manifest.uv_bounds, 2) &&
+      areNumbers(manifest.steps, 2) && manifest.mirrors.every((url) => /^https?:$/.test(new URL(url).protocol)) &&
+      materials.every((material) => Object.values(material.textures).every((index) => textures[index])) &&
+      textures.every(({ width, height, tile_size: side, headers }) => [width, height, side].every((value) => isSize(value, 1, MAX_SIDE)) &&
+        Math.ceil(width / side) * Math.ceil(height / side) <= MAX_SIDE && headers.every((header) => /^(\w\w)+$/.test(header)));
     if (!isFine) throw new RangeError();
   } catch {
     throw new DamageError("manifest.json");
@@ -245,7 +255,6 @@ export class Loader {
   #fail(error) {
     if (this.isStopped) return;
     this.stop();
-    const isKnown = error instanceof DamageError || error instanceof TypeError || !(error instanceof RangeError);
-    this.events.problem((isKnown ? error : new DamageError("The package")).message);
+    this.events.problem(explain(error));
   }
 }

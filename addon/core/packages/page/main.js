@@ -1,6 +1,7 @@
 // The page: shows a package while it loads.
 
 import { fetchManifest, Loader } from "./loader.js";
+import { explain } from "./network.js";
 import { Orbit } from "./orbit.js";
 import { Renderer } from "./renderer.js";
 import { buildSurface } from "./surface.js";
@@ -8,17 +9,33 @@ import { buildSurface } from "./surface.js";
 const LIMITS = [1, 2, 5, 10, 20, 60]; // seconds
 const FRAME_MILLISECONDS = 100; // between two looks at the numbers
 const element = (id) => document.getElementById(id);
-const base = new URL(new URLSearchParams(location.search).get("package") ?? "./", location.href);
-if (!base.pathname.endsWith("/")) base.pathname += "/";
-const historyKey = `farfield-rate ${base.origin}`;
+element("late").remove();
+const base = findPackage();
+const historyKey = `farfield-rate ${base?.origin}`;
 
 let loader = null, renderer = null, isRequested = false, isSettled = false;
 let levels = []; // received surfaces, by level
-const first = fetchManifest(base); // before all other work
+const first = fetchPackage(); // before all other work
 first.catch(() => {}); // `load` reports it
 const session = { start: 0, firstImage: null, problems: [] };
 
 const orbit = new Orbit(element("view"), requestDraw);
+
+/** The URL of the folder of the package, null where the address names none. */
+function findPackage() {
+  try {
+    const url = new URL(new URLSearchParams(location.search).get("package") ?? "./", location.href);
+    if (!url.pathname.endsWith("/")) url.pathname += "/";
+    return url;
+  } catch {
+    return null;
+  }
+}
+
+async function fetchPackage() {
+  if (!base) throw new Error("The address names no package.");
+  return fetchManifest(base);
+}
 
 /** Draw with the next frame of the screen. */
 function requestDraw() {
@@ -48,18 +65,22 @@ function showStatus(result = "") {
 }
 
 /** Load the package from the beginning. coming: a promise of its manifest. */
-async function load(coming = fetchManifest(base), start = performance.now()) {
+async function load(coming = fetchPackage(), start = performance.now()) {
+  try {
+    await show(coming, start);
+  } catch (error) {
+    loader?.stop();
+    report(explain(error));
+  }
+}
+
+async function show(coming, start) {
   loader?.stop();
   Object.assign(session, { start, firstImage: null, problems: [] });
   isSettled = false;
   levels = [];
   showStatus();
-  let manifest;
-  try {
-    manifest = await coming;
-  } catch (error) {
-    return report(error.message);
-  }
+  const manifest = await coming;
   fillChoices(manifest);
   const options = {
     limit: Number(element("limit").value), keepsRefining: element("refine").checked, rate: readHistory(),

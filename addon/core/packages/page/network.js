@@ -56,7 +56,10 @@ export class Connection {
  * and `parts`, an iterator of [offset, bytes]. Both throw if the response fails, is too short, or is of a file of another size. */
 export async function openRange(url, file, start, end, connection, signal) {
   // Browsers let requests for parts of one URL wait for each other where they may store them.
-  const response = await fetch(url, { headers: { Range: `bytes=${start}-${end - 1}` }, cache: "no-store", signal });
+  const response = await fetch(url, { headers: { Range: `bytes=${start}-${end - 1}` }, cache: "no-store", signal }).catch((error) => {
+    signal.throwIfAborted();
+    throw new Error(`${url} cannot be loaded. Its server may forbid other pages, or compress what it must send in ranges. (${error.message})`);
+  });
   const isWhole = response.status === 200;
   const range = /^bytes (\d+)-(\d+)\/(\d+)$/.exec(response.headers.get("Content-Range") ?? "");
   if (!isWhole && response.status !== 206) throw new Error(`The server answers ${response.status} for ${url}.`);
@@ -89,6 +92,9 @@ export class DamageError extends Error {
     super(`"${name}" is damaged or of another package. Export the package again, or copy it again.`);
   }
 }
+
+/** The sentence about an error: contents that make no sense are damage. */
+export const explain = (error) => (error instanceof TypeError || error instanceof RangeError ? new DamageError("The package") : error).message;
 
 const CRC_TABLE = Uint32Array.from({ length: 256 }, (_, byte) => {
   for (let bit = 0; bit < 8; bit++) byte = byte & 1 ? (byte >>> 1) ^ 0xedb88320 : byte >>> 1;
