@@ -1,7 +1,8 @@
 """A web server for one package, by default on this machine only.
 
 It sends the files that `package_files.open_package` has opened at its start, also in ranges, and nothing else. Pages of other servers may
-read them (CORS), so that a server can be a mirror. A client that sends or takes data too slowly is disconnected.
+read them (CORS), so that a server can be a mirror, unless it is private: then it answers only to a name of this machine, so that no page
+that is open in the same browser can read the package. A client that sends or takes data too slowly is disconnected.
 """
 
 import asyncio
@@ -35,18 +36,18 @@ SINGLE_RANGE = re.compile(r"bytes=[ \t]*(\d{0,18})-(\d{0,18})[ \t]*", re.IGNOREC
 MAX_HEADER_BYTES = 16384
 READ_BUFFER_BYTES = 65536  # per connection
 WAIT_SECONDS = 0.2
-HEADERS = {
+HEADERS = {"Cache-Control": "no-cache", "Referrer-Policy": "no-referrer", "X-Content-Type-Options": "nosniff"}
+SHARED_HEADERS = HEADERS | {
     "Access-Control-Allow-Origin": "*",
     "Access-Control-Allow-Methods": "GET, HEAD",
     "Access-Control-Allow-Headers": "Range, If-Range",
     "Access-Control-Expose-Headers": "Accept-Ranges, Content-Range, Content-Length, ETag",
     "Access-Control-Max-Age": "86400",
-    "Cache-Control": "no-cache",
     "Cross-Origin-Resource-Policy": "cross-origin",
-    "Referrer-Policy": "no-referrer",
     "Timing-Allow-Origin": "*",
-    "X-Content-Type-Options": "nosniff",
 }
+PRIVATE_HEADERS = HEADERS | {"Cross-Origin-Resource-Policy": "same-origin"}
+OWN_NAMES = (LOOPBACK, "localhost")
 
 
 @dataclass(frozen=True)
@@ -78,14 +79,20 @@ class PackageHandler(RequestHandler):
 
     SUPPORTED_METHODS = ("GET", "HEAD", "OPTIONS")
 
-    def initialize(self, files: Mapping[str, PackageFile], throttle: Throttle, limits: ClientLimits) -> None:
+    def initialize(self, files: Mapping[str, PackageFile], throttle: Throttle, limits: ClientLimits, is_private: bool) -> None:
         """Keep what requests share: files by the path of their URL."""
-        self._files, self._throttle, self._limits = files, throttle, limits
+        self._files, self._throttle, self._limits, self._is_private = files, throttle, limits, is_private
+        self._set_common_headers()
 
-    def set_default_headers(self) -> None:
+    def prepare(self) -> None:
+        """Refuse requests to a private server by another name: a page of a name that now leads to this machine may read what it asks."""
+        if self._is_private and self.request.host_name not in OWN_NAMES:
+            self.send_error(421)
+
+    def _set_common_headers(self) -> None:
         """Set what every response has."""
         self.clear_header("Server")
-        for name, value in HEADERS.items():
+        for name, value in (PRIVATE_HEADERS if self._is_private else SHARED_HEADERS).items():
             self.set_header(name, value)
 
     async def get(self) -> None:
@@ -131,8 +138,7 @@ class PackageHandler(RequestHandler):
 
     def write_error(self, status_code: int, **_details: object) -> None:
         """Send the reason as text."""
-        for name, value in HEADERS.items():
-            self.set_header(name, value)
+        self._set_common_headers()
         if status_code == 405:
             self.set_header("Allow", ", ".join(self.SUPPORTED_METHODS))
         self.set_header("Content-Type", "text/plain; charset=utf-8")
@@ -196,13 +202,18 @@ class PackageHttpServer(HTTPServer):
 
 @contextmanager
 def run_server(
-    folder: Path, address: str = LOOPBACK, port: int = 0, connection: ConnectionRate | None = None, limits: ClientLimits | None = None
+    folder: Path,
+    address: str = LOOPBACK,
+    port: int = 0,
+    connection: ConnectionRate | None = None,
+    limits: ClientLimits | None = None,
+    is_private: bool = False,
 ) -> Iterator[str]:
     """Serve the package in `folder` within the context, from a thread of its own. Yields the URL of its page.
 
     Args:
         address: of the network interface; "127.0.0.1" for this machine only. port: 0 for any free one. connection: rate of all responses
-            together, None for no limit.
+            together, None for no limit. is_private: whether pages of other servers may not read the package.
 
     Raises:
         FileError: the package is damaged, or the address or port cannot be used.
@@ -220,7 +231,7 @@ def run_server(
     stopping = asyncio.Event()
 
     async def run() -> None:
-        shared = {"files": paths, "throttle": Throttle(connection), "limits": limits or ClientLimits()}
+        shared = {"files": paths, "throttle": Throttle(connection), "limits": limits or ClientLimits(), "is_private": is_private}
         application = Application(default_handler_class=PackageHandler, default_handler_args=shared, log_function=lambda _handler: None)
         server = PackageHttpServer(application, shared["limits"])
         server.add_sockets(sockets)
@@ -241,11 +252,17 @@ def run_server(
 
 
 def serve(
-    folder: Path, address: str, port: int, connection: ConnectionRate | None, announce: Callable[[str], None], wait: Callable[[], None]
+    folder: Path,
+    address: str,
+    port: int,
+    connection: ConnectionRate | None,
+    announce: Callable[[str], None],
+    wait: Callable[[], None],
+    is_private: bool = False,
 ) -> None:
     """Serve the package in `folder` until `wait`, which is called several times a second, raises KeyboardInterrupt. announce: called with
     the URL of the page. Otherwise see `run_server`."""
-    with run_server(folder, address, port, connection) as url, suppress(KeyboardInterrupt):
+    with run_server(folder, address, port, connection, is_private=is_private) as url, suppress(KeyboardInterrupt):
         announce(url)
         while True:
             wait()
@@ -255,10 +272,10 @@ def serve(
 def open_view(
     folder: Path, port: int, connection: ConnectionRate | None, announce: Callable[[str], None], wait: Callable[[], None]
 ) -> None:
-    """Show the package in `folder` in the user's web browser and serve it on this machine only, as `serve` does."""
+    """Show the package in `folder` in the user's web browser and serve it to this page only, as `serve` does."""
 
     def show(url: str) -> None:
         announce(url)
         webbrowser.open(url)
 
-    serve(folder, LOOPBACK, port, connection, show, wait)
+    serve(folder, LOOPBACK, port, connection, show, wait, is_private=True)

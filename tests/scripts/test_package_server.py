@@ -107,6 +107,23 @@ def test_files_of_package_are_sent(url, package):
     assert request(url, "/")[2] == request(url, "/index.html")[2] == read_page()["index.html"]
 
 
+def test_a_private_server_answers_only_to_this_machine_and_its_own_page(package):
+    with run_server(package, is_private=True) as url:
+        place = urlsplit(url)
+        for host, expected in (
+            (place.netloc, 200),
+            (f"localhost:{place.port}", 200),
+            (f"evil.example:{place.port}", 421),
+            ("evil.example", 421),
+        ):
+            for path in ("/manifest.json", "/none"):
+                status, headers, body = request(url, path, {"Host": host, "Origin": "http://evil.example"})
+                assert status == (404 if (expected, path) == (200, "/none") else expected)
+                assert not any(name.startswith("access-control") for name in map(str.lower, headers))
+                assert headers["Cross-Origin-Resource-Policy"] == "same-origin" and "Server" not in headers
+                assert (body == (package / "manifest.json").read_bytes()) == (status == 200)
+
+
 @pytest.mark.parametrize(
     ("header", "expected"),
     [
