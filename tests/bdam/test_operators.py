@@ -8,6 +8,7 @@ import bpy
 import pytest
 
 from farfield.addon.bridge.bdam.objects import STORE_KEY, SceneTerrain
+from farfield.addon.core.bdam.store.structure import read_structure, write_structure
 from farfield.addon.operators import follow_handlers, following, view_following
 from farfield.addon.operators.bdam.operators import TOOL
 from farfield.addon.operators.engine_cache import cache
@@ -147,6 +148,28 @@ def test_the_terrain_follows_the_camera_in_every_frame(folder, camera):
         triangles.append(terrain.figures.triangles)
     assert triangles[0] > triangles[1] > triangles[2] and triangles[3] == triangles[0]
     assert bpy.context.scene.render.use_lock_interface
+
+
+@pytest.mark.parametrize("kind", ["leaf_cells of 0", "a path that is too long", "nothing there"])
+def test_a_terrain_of_a_stranger_costs_one_sentence_per_file_when_the_frame_changes(folder, camera, kind, capfd):
+    terrain = load(folder)
+    expected = signature(terrain)
+    setattr(terrain.root, follow_handlers.camera_property("bdam"), True)
+    cache.clear()
+    if kind == "leaf_cells of 0":
+        header, levels, _ = read_structure(folder)
+        object.__setattr__(header, "leaf_cells", 0)  # a value that the file may hold
+        write_structure(folder, header, levels)
+    else:
+        terrain.root[STORE_KEY] = "a" * 100_000 if "path" in kind else str(folder.with_name("none"))
+    start = time.monotonic()
+    for frame in range(1, 6):
+        bpy.context.scene.frame_set(frame)
+    assert time.monotonic() - start < 5.0 and signature(terrain) == expected
+    printed = capfd.readouterr().err.splitlines()
+    assert len(printed) == 1 and len(printed[0]) < 1200 and "defect" not in printed[0], printed
+    with pytest.raises(RuntimeError, match=r"leaf_cells is 0|choose a shorter name|there is no folder"):
+        bpy.ops.farfield.bdam_update()
 
 
 def test_follow_view_runs_until_it_is_stopped(folder, camera):
