@@ -13,6 +13,8 @@ from typing import Any
 
 import bpy
 
+from ..core.json_values import parse_json
+
 SOURCES = "farfield_sources"  # custom property of a collection: JSON list with one entry per source object
 TOKEN = "farfield_source_token"  # custom property of a local source object
 
@@ -63,8 +65,8 @@ def _read_entries(collection: bpy.types.Collection) -> list[dict[str, Any]]:
     """Return the stored entries; files from elsewhere can hold anything."""
     text = collection.get(SOURCES)
     try:
-        entries = json.loads(text) if isinstance(text, str) else []
-    except (ValueError, RecursionError):
+        entries = parse_json(text) if isinstance(text, str) else []
+    except ValueError:
         return []
     entries = entries if isinstance(entries, list) else []
     return [entry for entry in entries if isinstance(entry, dict) and isinstance(entry.get("name"), str) and _entry_key(entry) is not None]

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..core.errors import SettingsError
 from ..core.geometry.viewers import Viewer
+from ..core.json_values import parse_json
 from .geometry.mesh_pool import is_local
 
 Settings = TypeVar("Settings")
@@ -128,10 +129,10 @@ class TerrainRoot:
             SettingsError: they cannot be read, for example because a newer version wrote them.
         """
         try:
-            return settings_type(**json.loads(self.root[self.settings_key()]))
+            return settings_type(**parse_json(self.root[self.settings_key()]))
         except SettingsError as error:
             raise SettingsError(f'The settings of the terrain "{self.name}" are invalid: {error} Create the terrain again.') from error
-        except (ArithmeticError, RecursionError, TypeError, ValueError) as error:
+        except (ArithmeticError, TypeError, ValueError) as error:
             raise SettingsError(f'The settings of the terrain "{self.name}" cannot be read: {error}. Create the terrain again.') from error
 
     def store_settings(self, settings: Any) -> None:

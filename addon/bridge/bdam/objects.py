@@ -20,6 +20,7 @@ from ...core.bdam.view.engine import BdamEngine, Figures, TileBlock, Update
 from ...core.bdam.view.tiles import TileKey, TileMesh
 from ...core.errors import FileError
 from ...core.files.file_access import is_folder
+from ...core.json_values import parse_json
 from ..geometry.mesh_arrays import write_attribute, write_triangles
 from ..geometry.mesh_pool import PendingMeshes, claim, mark_spare
 from ..terrain_roots import TerrainRoot, remove_terrain
@@ -68,7 +69,7 @@ class SceneTerrain(TerrainRoot):
     def figures(self) -> Figures | None:
         """Figures of what is shown, None if they are unknown."""
         try:
-            return Figures(**json.loads(self.root[FIGURES_KEY]))
+            return Figures(**parse_json(self.root[FIGURES_KEY]))
         except (KeyError, TypeError, ValueError):
             return None
 
@@ -76,7 +77,7 @@ class SceneTerrain(TerrainRoot):
     def warnings(self) -> tuple[str, ...]:
         """Sentences about damaged parts of the store that are not shown."""
         try:
-            return tuple(str(sentence) for sentence in json.loads(self.root[WARNINGS_KEY]))
+            return tuple(str(sentence) for sentence in parse_json(self.root[WARNINGS_KEY]))
         except (KeyError, TypeError, ValueError):
             return ()
 

@@ -1,6 +1,5 @@
 """The figures that are stored with levels, read back: what is plotted, and how strong the difference of each level is."""
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import SettingsError
+from ..json_values import parse_json
 
 MAX_FIGURES = 10_000  # Limit of the figures of each kind.
 
@@ -45,7 +45,7 @@ def read_figures(text: object) -> LevelFigures:
         SettingsError: it is damaged.
     """
     try:
-        content = json.loads(text) if isinstance(text, str) else None
+        content = parse_json(text) if isinstance(text, str) else None
     except ValueError:
         content = None
     if not isinstance(content, dict):

@@ -1,6 +1,5 @@
 """The state of the paper's experiment while it runs: trials, distances and answers, without a window."""
 
-import json
 import math
 from dataclasses import replace
 
@@ -13,6 +12,7 @@ from ...bridge.texmesh.level_sets import ERROR, FIGURES, LevelSet, read_level_se
 from ...bridge.texmesh.trial_objects import create_trial_objects, remove_trial_objects
 from ...core.errors import GeometryError, SettingsError
 from ...core.geometry.cameras import Camera
+from ...core.json_values import parse_json
 from ...core.texmesh.figures import read_figures
 from ...core.texmesh.perception.calibration import Answer, Trial, next_trial, record_answer
 from ...core.texmesh.perception.recorded_answers import RecordedAnswer, read_answers, write_answers
@@ -126,6 +126,6 @@ def clear_answers(scene: bpy.types.Scene) -> int:
         return 0
     del scene[ANSWERS]
     try:
-        return len(json.loads(text))
+        return len(parse_json(text))
     except (TypeError, ValueError):
         return 0

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...errors import SettingsError
+from ...json_values import parse_json
 from .calibration import Answer, Threshold, answers_from_rows, answers_to_rows, estimate_threshold
 
 MAX_LEVEL = 99
@@ -37,7 +38,7 @@ def read_answers(text: object) -> list[RecordedAnswer]:
     if text in (None, ""):
         return []
     try:
-        rows = json.loads(text) if isinstance(text, str) else None
+        rows = parse_json(text) if isinstance(text, str) else None
     except ValueError:
         rows = None
     if not isinstance(rows, list) or len(rows) > MAX_ANSWERS:
