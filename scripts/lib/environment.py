@@ -21,6 +21,8 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple, NoReturn
@@ -72,6 +74,7 @@ def ensure(extra_modules: tuple[str, ...] = (), *, exits_on_signals: bool = Fals
     if read_stamp(Path(sys.prefix)) == lock.digest() or _is_user_environment_complete(lock, extra_modules):
         if exits_on_signals and "bpy" not in sys.modules:
             _exit_on_signals()
+            _set_temporary_folder()
         return
     folder = environments_folder() / lock.name
     try:
@@ -94,6 +97,14 @@ def _exit_on_signals() -> None:
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):  # others are the caller's
             signal.signal(number, end)
+
+
+def _set_temporary_folder() -> None:
+    """Let Blender use the temporary folder that Python uses, which can be written to; it prints warnings about one that cannot."""
+    name = "TEMP" if IS_WINDOWS else "TMPDIR"
+    if os.environ.get(name):
+        with suppress(OSError):  # no folder can be written to
+            os.environ[name] = tempfile.gettempdir()
 
 
 def _open_closed_streams() -> None:

@@ -146,6 +146,23 @@ def pins(path: Path) -> dict[str, str]:
     return versions
 
 
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="other systems have no folder that nobody can write to")
+def test_a_temporary_folder_that_cannot_be_written_to_is_not_handed_to_blender(tmp_path):
+    code = "\n".join(
+        [
+            "import os, sys",
+            f"sys.path.insert(0, {str(environment.ROOT / 'scripts')!r})",
+            "from lib import environment",
+            "environment.ensure(exits_on_signals=True)",
+            "print(os.environ['TMPDIR'])",
+        ]
+    )
+    for folder in ("/proc", str(tmp_path)):
+        variables = {name: value for name, value in os.environ.items() if name not in ("TEMP", "TMP")} | {"TMPDIR": folder}
+        outcome = subprocess.run([sys.executable, "-c", code], env=variables, capture_output=True, text=True, check=True)
+        assert (outcome.stdout.strip() == folder) == (folder == str(tmp_path))
+
+
 @pytest.mark.skipif(os.name == "nt", reason="Windows sends no signals to one process")
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_a_signal_before_blender_is_imported_ends_the_script(name):
