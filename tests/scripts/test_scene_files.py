@@ -115,3 +115,22 @@ def test_files_without_anything_to_render(tmp_path):
 def test_a_saved_scene_adds_no_library(tmp_path):
     scene_files.save_scene(tmp_path / "a.blend")
     assert not bpy.data.libraries and not bpy.data.filepath
+
+
+def test_no_python_of_a_scene_runs(tmp_path):
+    """Neither text blocks that are registered nor drivers, unless Blender is told to trust the file."""
+    marker, path = tmp_path / "marker", tmp_path / "a.blend"
+    text = bpy.data.texts.new("run.py")
+    text.write(f"open({str(marker)!r}, 'a').close()")
+    text.use_module = True
+    item = bpy.data.objects.new("Item", None)
+    bpy.context.scene.collection.objects.link(item)
+    item.driver_add("location", 0).driver.expression = f"1.0 if open({str(marker)!r}, 'a').close() is None else 2.0"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    marker.unlink(missing_ok=True)
+    scene_files.open_scene(path)
+    bpy.context.view_layer.update()
+    bpy.context.scene.frame_set(2)
+    assert not marker.exists()
+    bpy.ops.wm.open_mainfile(filepath=str(path), use_scripts=True)
+    assert marker.exists(), "the text would have run"

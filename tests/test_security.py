@@ -1,0 +1,57 @@
+"""Promises of docs/security.md that are about all of the source, and that each of the others has a test."""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from lib import environment
+
+ADDON = environment.ROOT / "addon"
+NETWORK = {"socket", "ssl", "http", "ftplib", "requests", "aiohttp", "httpx", "urllib3", "webbrowser", "xmlrpc", "smtplib", "telnetlib"}
+UNSAFE = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib"}
+ALLOWED_URLLIB = {"urllib.parse"}
+
+
+def imported_modules(path: Path) -> Iterator[str]:
+    """The full names of what a file imports, wherever it does."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            yield node.module
+
+
+def test_the_extension_opens_no_network_connection_of_its_own():
+    found = {(path.name, name) for path in ADDON.rglob("*.py") for name in imported_modules(path)}
+    assert not {entry for entry in found if entry[1].partition(".")[0] in NETWORK}
+    assert {name for _, name in found if name.startswith("urllib")} <= ALLOWED_URLLIB
+    assert {path for path, name in found if name.partition(".")[0] in ("dask", "distributed")} <= {
+        "executors.py",
+        "dask_farm.py",
+        "task_farm.py",
+    }
+
+
+def test_nothing_reads_pickles_or_evaluates_text():
+    for path in [*ADDON.rglob("*.py"), *(environment.ROOT / "scripts").rglob("*.py")]:
+        assert not {name.partition(".")[0] for name in imported_modules(path)} & UNSAFE, path
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.Call):
+                continue
+            name = ast.unparse(node.func)
+            assert name not in ("eval", "exec"), path
+            if name in ("np.load", "numpy.load"):
+                assert any(word.arg == "allow_pickle" and ast.unparse(word.value) == "False" for word in node.keywords), path
+
+
+def test_every_promise_names_tests_that_exist():
+    text = (environment.ROOT / "docs" / "results" / "reliability.md").read_text(encoding="utf-8")
+    rows = text.partition("## Promises")[2].partition("\n## ")[0].split("|---|---|\n")[1].strip().splitlines()
+    assert len(rows) >= 20
+    for row in rows:
+        named = re.findall(r"`(tests/[\w/]+\.py)(?:::(\w+))?`|`(benchmarks/\w+\.py)`", row)
+        assert named, row
+        for path, function, campaign in named:
+            content = (environment.ROOT / (path or campaign)).read_text(encoding="utf-8")
+            assert not function or re.search(rf"^\s*def {function}\(", content, re.MULTILINE), row
