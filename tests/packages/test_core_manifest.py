@@ -86,6 +86,8 @@ def test_mesh_size_is_that_of_a_level_and_all_coarser_ones():
         {"textures": (PackageTexture("base_color", 0, 200, 128, (b"\xff",)),)},
         {"increments": Section(20, 20, 7)},
         {"increment_count": 469},
+        {"increment_count": 1},
+        {"increment_count": 0},
     ],
 )
 def test_contradictions_are_refused(change):

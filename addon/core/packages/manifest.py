@@ -356,6 +356,8 @@ def _check(manifest: Manifest) -> None:
         raise _contradiction("the table of increments ends behind the first one")
     if manifest.increment_count > min(textures_size - manifest.first_increment, MAX_INCREMENTS):  # each has at least one byte
         raise _contradiction("it has more increments than bytes of them")
+    if manifest.state_count > max(manifest.increment_count, 1):  # each state adds some
+        raise _contradiction("it has more states than increments")
     errors = manifest.errors
     if len(errors.levels) != len(manifest.levels) or not 1 <= manifest.state_count <= MAX_STATES:
         raise _contradiction("its errors do not fit to its levels")

@@ -46,7 +46,7 @@ function checkManifest(manifest) {
       isSize(manifest.increment_count, 0, Math.min(sizes[1] - first, MAX_INCREMENTS)) && levels.length && materials.length && manifest.time_limit > 0 &&
       levels.every((level) => SECTIONS.every((name) => fits(level[name], sizes[0])) && isSize(level.vertex_count) && isSize(level.wedge_count) &&
         level.triangle_counts.length === materials.length && level.triangle_counts.every((count) => isSize(count))) &&
-      areNumbers(errors.levels, levels.length) && isSize(errors.states.length, 1, 64) && areNumbers(errors.states, errors.states.length) && errors.exponent >= 1 &&
+      areNumbers(errors.levels, levels.length) && isSize(errors.states.length, 1, Math.min(Math.max(manifest.increment_count, 1), 64)) && areNumbers(errors.states, errors.states.length) && errors.exponent >= 1 &&
       isBox(manifest.bounds, 3) && isBox(manifest.uv_bounds, 2) &&
       areNumbers(manifest.steps, 2) && manifest.mirrors.every((url) => /^https?:$/.test(new URL(url).protocol)) &&
       materials.every((material) => Object.values(material.textures).every((index) => textures[index])) &&
