@@ -11,7 +11,16 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from farfield.addon.core.errors import ImageError
-from farfield.addon.core.imaging.coded_images import FORMATS, RAW_HEADER, RAW_MAGIC, decode, encode, encode_gray, read_coded_image
+from farfield.addon.core.imaging.coded_images import (
+    FORMATS,
+    RAW_HEADER,
+    RAW_MAGIC,
+    check_coded,
+    decode,
+    encode,
+    encode_gray,
+    read_coded_image,
+)
 
 SMOOTH = np.stack([np.add.outer(np.arange(96), np.arange(64)), np.full((96, 64), 90), np.tile(np.arange(64) * 2, (96, 1))], 2).astype(
     np.uint8
@@ -118,6 +127,15 @@ def test_declared_sizes_are_checked_before_pixels_are_allocated(size):
         decode(RAW_HEADER.pack(RAW_MAGIC, 20000, 20000, 3) + bytes(12))
     with pytest.raises(ImageError, match="more than"):
         decode(RAW_HEADER.pack(RAW_MAGIC, 60000, 60000, 3) + bytes(12))
+
+
+def test_a_webp_image_of_an_impossible_size_is_damaged():
+    content = bytearray(encode(np.dstack([SMOOTH[..., :3], np.tile(np.arange(SMOOTH.shape[1], dtype=np.uint8), (len(SMOOTH), 1))]), "webp"))
+    place = content.index(b"VP8X") + 12
+    content[place : place + 6] = b"\xff" * 6  # 2**24 pixels along each side
+    for read in (decode, check_coded):
+        with pytest.raises(ImageError, match="damaged"):
+            read(bytes(content))
 
 
 @pytest.mark.parametrize(

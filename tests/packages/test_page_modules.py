@@ -102,7 +102,17 @@ def test_page_refuses_manifests_that_make_no_sense(tmp_path):
         *({"first_increment": value} for value in (2**40, -1, None)),
         *({"levels": value} for value in (None, [], [None], [manifest["levels"][0] | {"vertex_count": -1}])),
         {"levels": [manifest["levels"][0] | {"triangle_counts": [1, 2]}]},
-        *({"errors": value} for value in (None, {}, errors | {"states": []}, errors | {"states": [0, 0, 0]}, errors | {"levels": [None]}, errors | {"exponent": 0})),
+        *(
+            {"errors": value}
+            for value in (
+                None,
+                {},
+                errors | {"states": []},
+                errors | {"states": [0, 0, 0]},
+                errors | {"levels": [None]},
+                errors | {"exponent": 0},
+            )
+        ),
         *({"materials": value} for value in (None, [], [{"textures": {"base_color": 7}}])),
         *({"time_limit": value} for value in (0, None, -1)),
         *({"files": value} for value in (None, {}, {"mesh.bin": [2**40, ""], "textures.bin": [0, ""]})),

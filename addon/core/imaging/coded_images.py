@@ -18,7 +18,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, BinaryIO, Literal, get_args
 
 import numpy as np
 
@@ -88,7 +88,7 @@ def decode(data: bytes | memoryview, max_pixels: int = MAX_PIXELS) -> np.ndarray
     """
     if bytes(data[: len(RAW_MAGIC)]) == RAW_MAGIC:
         return _decode_raw(data, max_pixels)
-    with _open(data) as image:
+    with _open(io.BytesIO(data)) as image:
         return _decode_opened(image, len(data), max_pixels)
 
 
@@ -97,20 +97,23 @@ def check_coded(data: bytes | memoryview, max_pixels: int = MAX_PIXELS) -> None:
     if bytes(data[: len(RAW_MAGIC)]) == RAW_MAGIC:
         _check_raw(data, max_pixels)
         return
-    with _open(data) as image:
+    with _open(io.BytesIO(data)) as image:
         _check_opened(image, len(data), max_pixels)
 
 
 @contextmanager
-def _open(data: bytes | memoryview) -> "Iterator[ImageFile]":
+def _open(file: BinaryIO) -> "Iterator[ImageFile]":
     """Open an image whose header is read, and close it after the block. Raises ImageError, also for damages found in the block."""
-    plugin = _find_plugin(bytes(data[:12]))
+    from PIL import Image
+
+    plugin = _find_plugin(file.read(12))
+    file.seek(0)
     if plugin is None:
         raise ImageError("The image is no JPEG, WebP or PNG; save it in one of these formats.")
     try:
-        with plugin(io.BytesIO(data)) as image:
+        with plugin(file) as image:
             yield image
-    except DAMAGES as error:
+    except (*DAMAGES, Image.DecompressionBombError) as error:  # the latter for sizes that WebP cannot have
         raise ImageError("The image is damaged or truncated; open it in an image editor and save it again.") from error
 
 
@@ -121,10 +124,8 @@ def read_coded_image(path: Path, max_pixels: int = MAX_PIXELS) -> np.ndarray:
         ImageError: see `decode`; the message names the file.
         OSError: the file cannot be read.
     """
-    try:
-        return decode(path.read_bytes(), max_pixels)
-    except ImageError as error:
-        raise ImageError(f'"{path.name}": {error}') from error
+    with _open_file(path) as image:
+        return _decode_opened(image, path.stat().st_size, max_pixels)
 
 
 def read_coded_shape(path: Path) -> tuple[int, int, int]:
@@ -134,19 +135,20 @@ def read_coded_shape(path: Path) -> tuple[int, int, int]:
         ImageError: see `decode`; the message names the file.
         OSError: the file cannot be read.
     """
+    with _open_file(path) as image:
+        _check_opened(image, path.stat().st_size, MAX_PIXELS)
+        return image.size[1], image.size[0], len(_rgb_mode(image))
+
+
+@contextmanager
+def _open_file(path: Path) -> "Iterator[ImageFile]":
+    """Do `_open` for a file, which errors name. Raises OSError, too."""
     with path.open("rb") as file:
-        plugin = _find_plugin(file.read(12))
-        file.seek(0)
         try:
-            if plugin is None:
-                raise ImageError("The image is no JPEG, WebP or PNG; save it in one of these formats.")
-            with plugin(file) as image:
-                _check_opened(image, path.stat().st_size, MAX_PIXELS)
-                return image.size[1], image.size[0], len(_rgb_mode(image))
+            with _open(file) as image:
+                yield image
         except ImageError as error:
             raise ImageError(f'"{path.name}": {error}') from error
-        except DAMAGES as error:
-            raise ImageError(f'"{path.name}": The image is damaged or truncated; open it in an image editor and save it again.') from error
 
 
 def _find_plugin(start: bytes) -> "type[ImageFile] | None":

@@ -134,9 +134,11 @@ class HeightQuery:
 
 
 def evaluate_planes(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return heights (N,) and unit normals (N, 3) at `points` (N, 2) on the planes of triangles (N, 3, 3), counterclockwise from above."""
+    """Return heights (N,) and unit normals (N, 3) at `points` (N, 2) on the planes of triangles (N, 3, 3), counterclockwise from above.
+    Both are NaN where a triangle has no area."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     offsets = points - corners[:, 0, :2]
+    normals[normals[:, 2] <= 0.0] = np.nan
     heights = corners[:, 0, 2] - (normals[:, :2] * offsets).sum(axis=1) / normals[:, 2]
     return heights, normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
