@@ -30,7 +30,7 @@ MAX_BYTES = 2**32  # Pixels in memory, as float32: 16384 x 16384 with four chann
 # Bytes that reading, restoring and writing an image may take, with all copies and masks: this many, or more for larger files. Compression
 # reaches any ratio in uniform images, but these need no gigabytes.
 MAX_WORK_BYTES, WORK_BYTES_PER_FILE_BYTE = 2**32, 1024
-PIXEL_BYTES = 16  # of masks, labels of holes and luminance, per pixel
+PIXEL_BYTES = 16  # per pixel: masks, labels of holes, luminance
 PIXEL_COPIES, STORED_COPIES = 2, 3  # arrays of float32, and of the type of the file
 MAX_RATIO = 35_000  # decoded to file size: deflate reaches 1032, and one bit of a palette image becomes four bytes
 UNLIMITED_COMPRESSIONS = ("ccitt", "dwa")  # may reach any ratio in uniform images

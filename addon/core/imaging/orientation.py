@@ -2,7 +2,7 @@
 
 import numpy as np
 
-UPRIGHT = 1  # of images without the tag, too
+UPRIGHT = 1  # The orientation of images without the tag, too.
 ORIENTATIONS = range(1, 9)
 SWAPPED = (5, 6, 7, 8)  # orientations that exchange rows and columns
 
