@@ -24,6 +24,7 @@ import bpy
 from farfield.addon.bridge.billboards.exports import material_path, write_glb, write_obj
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, read_cloud
 from farfield.addon.bridge.cameras import read_scene_camera
+from farfield.addon.bridge.geometry.meshes import may_have_surface
 from farfield.addon.core.billboards.cloud import Level
 from farfield.addon.core.billboards.settings import BillboardSettings, BuildOptions, CrossfadeSettings
 from farfield.addon.core.errors import FileError, GeometryError
@@ -31,7 +32,6 @@ from farfield.addon.core.files.outputs import Output, check_outputs, is_named_by
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
 from farfield.addon.core.settings import add_flags
 from farfield.addon.operators.billboards.job import BillboardJob, prepare_job
-from farfield.addon.operators.billboards.sources import may_have_surface
 from farfield.addon.operators.job_run import run_job
 from lib import command_line, run_files, scene_files
 from lib.atomic_output import atomic_folder
@@ -88,7 +88,8 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
 def prepare_input(path: Path | None, settings: BillboardSettings, options: BuildOptions) -> BillboardJob:
     """Return the job for all objects of the open scene, read from `path` if it is given, that are visible in renders."""
     candidates = [item for item in bpy.context.scene.objects if may_have_surface(item)]
-    job = prepare_job(bpy.context, scene_files.objects_in_renders(candidates, path), settings, options)
+    job = prepare_job(bpy.context, scene_files.objects_in_renders(path), settings, options)
+    job.skipped.extend(scene_files.describe_missing())
     job.skipped.extend(f"{item.name} (disabled in renders)" for item in candidates if item.hide_render)
     return job
 

@@ -28,7 +28,7 @@ from farfield.addon.core.settings import add_flags, describe, from_flags
 from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.operators.job_run import run_job
 from farfield.addon.operators.packages.operators import prepare_packages
-from lib import command_line, run_files
+from lib import command_line, run_files, scene_files
 from lib.connection_rate import ConnectionRate, parse_rate
 from lib.texmesh_inputs import open_objects, read_level_settings
 
@@ -76,6 +76,7 @@ def build(given: Namespace, line: command_line.ProgressLine) -> str:
     clock = StageClock()
     with clock.stage("read"):
         job = prepare_packages(bpy.context, open_objects(given), settings, package_settings, out)
+        job.skipped.extend(scene_files.describe_missing())
     with clock.stage("build"):
         summary = run_to_end(run_job(job), line.show)
     line.clear()

@@ -193,7 +193,7 @@ def read_objects(path: Path, files: RunFiles) -> tuple[list[bpy.types.Object], n
     if they were not. Raises FileError if one of its files would be replaced."""
     with near_origin(path) as (near, origin):
         scene_files.open_scene(near, files)
-    objects = scene_files.objects_in_renders([item for item in bpy.context.scene.objects if item.type == "MESH"], path)
+    objects = scene_files.objects_in_renders(path, scene_files.is_mesh)
     if path.suffix.lower() == ".obj":  # which Blender's importer turns
         for item in objects:
             item.matrix_world.identity()

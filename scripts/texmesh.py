@@ -75,6 +75,7 @@ def make_levels(given: Namespace, line: command_line.ProgressLine) -> str:
     clock = StageClock()
     with clock.stage("read"):
         job = prepare_levels(bpy.context, open_objects(given), settings, scene_settings)
+        job.skipped.extend(scene_files.describe_missing())
     with clock.stage("levels"):
         summary = run_to_end(run_job(job), line.show)
     line.clear()
@@ -92,6 +93,7 @@ def analyze(given: Namespace, line: command_line.ProgressLine) -> str:
     clock = StageClock()
     with clock.stage("read"):
         job = prepare_analysis(bpy.context, open_objects(given), settings)
+        job.skipped.extend(scene_files.describe_missing())
     with clock.stage("analyze"):
         summary = run_to_end(run_job(job), line.show)
     line.clear()

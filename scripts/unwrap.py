@@ -62,8 +62,9 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     clock = StageClock()
     with clock.stage("read"):
         scene_files.open_scene(given.input.absolute(), given.files)
-        scene_files.objects_in_renders([item for item in bpy.context.scene.objects if item.type == "MESH"], given.input)
+        scene_files.objects_in_renders(given.input, scene_files.is_mesh)
         job = prepare(bpy.context, [item for item in bpy.context.scene.objects if not item.hide_render], settings)
+    job.skipped.extend(scene_files.describe_missing())
     for reason in job.skipped:
         command_line.print_message(f"Skipped: {reason}.")
     summary = run_to_end(run_job(job), line.show)

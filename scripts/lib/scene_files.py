@@ -1,6 +1,6 @@
 """Reading scenes from all file formats that Blender reads, and writing `.blend` and `.obj` files."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import bpy
@@ -9,6 +9,7 @@ from lib import environment
 
 environment.import_farfield()
 
+from farfield.addon.bridge.geometry.meshes import is_collection_instance, may_have_surface
 from farfield.addon.core.errors import FileError, GeometryError
 from farfield.addon.core.files.complete_files import is_complete_blend
 from farfield.addon.core.files.file_access import check_readable
@@ -57,20 +58,45 @@ def open_scene(path: Path, files: RunFiles | None = None) -> None:
         files.check_scene(path)
 
 
-def objects_in_renders(objects: Sequence[bpy.types.Object], path: Path | None) -> list[bpy.types.Object]:
-    """Return those of `objects`, read from `path` or created by the script if it is None, that are visible in renders.
+def objects_in_renders(path: Path | None, is_wanted: Callable[[bpy.types.Object], bool] = may_have_surface) -> list[bpy.types.Object]:
+    """Return those objects of the open scene, read from `path` or created by the script if it is None, that `is_wanted` accepts and that
+    are visible in renders. Shapes of bones, which importers add, do not count.
 
     Raises:
         GeometryError: there are none.
     """
     place = "the scene" if path is None else f'"{path}"'
+    shapes = {bone.custom_shape for item in bpy.data.objects if item.pose is not None for bone in item.pose.bones}
+    objects = [item for item in bpy.context.scene.objects if is_wanted(item) and item not in shapes]
     if not objects:
-        raise GeometryError(f"There is no mesh in {place}; give a file with an object that has faces.")
+        raise GeometryError(f"There is no mesh in {place}{_explain_absence()}")
     visible = [item for item in objects if not item.hide_render]
     if not visible:
         names = ", ".join(item.name for item in objects)
         raise GeometryError(f"Every object in {place} is disabled in renders ({names}); enable one of them.")
     return visible
+
+
+def is_mesh(item: bpy.types.Object) -> bool:
+    """Return whether an object is a mesh of its own."""
+    return item.type == "MESH"
+
+
+def describe_missing() -> list[str]:
+    """Return the names of objects and collections that were linked from files that are not there, with the reason."""
+    missing = [item for item in (*bpy.data.objects, *bpy.data.collections) if item.is_missing]
+    return [f'{item.name} (the library "{item.library.filepath}" is missing)' for item in missing]
+
+
+def _explain_absence() -> str:
+    """Return why a scene has no mesh, as the end of a sentence."""
+    missing = describe_missing()
+    if missing:
+        return f": {'; '.join(missing)}. Put the library back, or make its objects local."
+    instances = [item.name for item in bpy.context.scene.objects if is_collection_instance(item)]
+    if instances:
+        return f", only instances of collections ({', '.join(instances)}); make them real (Object > Apply > Make Instances Real)."
+    return "; give a file with an object that has faces."
 
 
 def save_scene(path: Path) -> None:

@@ -36,6 +36,6 @@ def read_level_settings(given: Namespace) -> TexmeshSettings:
 
 
 def open_objects(given: Namespace) -> list[bpy.types.Object]:
-    """Open the input and return its meshes that are visible in renders. Raises FarfieldError."""
+    """Open the input and return its objects with surfaces that are visible in renders. Raises FarfieldError."""
     scene_files.open_scene(given.input.absolute(), given.files)
-    return scene_files.objects_in_renders([item for item in bpy.context.scene.objects if item.type == "MESH"], given.input)
+    return scene_files.objects_in_renders(given.input)

@@ -117,7 +117,7 @@ def read_source(objects: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph)
     _flush_edit_mode(accepted, depsgraph)
     instances = read_instances(accepted, depsgraph)
     with_faces = {instance.name for instance in instances}
-    skipped += [f"{candidate.name} (no faces)" for candidate in accepted if candidate.name not in with_faces]
+    skipped += [f"{candidate.name} ({explain_no_faces(candidate)})" for candidate in accepted if candidate.name not in with_faces]
     if not instances:
         raise GeometryError(f"Nothing to work on: {'; '.join(skipped) or 'no object was given'}. Choose a visible object with faces.")
     first = next(candidate for candidate in accepted if candidate.name in with_faces)
@@ -165,6 +165,24 @@ def describe_type(item: bpy.types.Object) -> str:
     return f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
 
 
+def is_collection_instance(item: bpy.types.Object) -> bool:
+    """Return whether an object is an Empty that shows a collection."""
+    return item.type == "EMPTY" and item.instance_type == "COLLECTION"
+
+
+def may_have_surface(item: bpy.types.Object) -> bool:
+    """Return whether the type of `item` can have faces or points: a mesh, a curve and the like, or a collection instance."""
+    return item.type in SURFACE_TYPES or is_collection_instance(item)
+
+
+def explain_no_faces(item: bpy.types.Object) -> str:
+    """Return that an object shows no faces, and why if something is missing."""
+    collection = item.instance_collection if is_collection_instance(item) else None
+    if collection is not None and collection.is_missing:
+        return f'no faces, because the library "{collection.library.filepath}" is missing'
+    return "no faces"
+
+
 def is_in_view_layer(item: bpy.types.Object, view_layer: bpy.types.ViewLayer) -> bool:
     """Return whether `item` is in `view_layer`: neither only in excluded collections nor only in other scenes."""
     found = view_layer.objects.get(item.name)
@@ -202,8 +220,7 @@ def concatenate_in_world_space(instances: list[SourceInstance]) -> TriangleMesh:
 
 def _skip_reason(candidate: bpy.types.Object) -> str:
     """Return why this object is skipped, or an empty string."""
-    instances_collection = candidate.type == "EMPTY" and candidate.instance_type == "COLLECTION"
-    if candidate.type not in SURFACE_TYPES and not instances_collection:
+    if not may_have_surface(candidate):
         return f"{describe_type(candidate)} has no faces"
     if not is_in_view_layer(candidate, bpy.context.view_layer):
         return "not in the view layer"

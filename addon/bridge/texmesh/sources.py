@@ -6,14 +6,14 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from ...core.errors import GeometryError
 from ...core.geometry.edges import find_edges
 from ...core.geometry.mesh import TriangleMesh, face_areas_and_normals
 from ...core.geometry.transforms import signed_areas
 from ...core.messages import format_count
 from ...core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 from ..geometry.evaluated_mesh import EvaluatedMesh
-from ..geometry.meshes import find_material, read_instances
+from ..geometry.joined_meshes import read_joined_mesh
+from ..geometry.meshes import find_material
 from .color_images import find_color_images, read_color_image
 
 
@@ -50,17 +50,16 @@ def read_textured_source(
     has_attributes: bool = True,
     read_image: Callable[[bpy.types.Image], tuple[np.ndarray, bool]] = read_color_image,
 ) -> TexturedSource:
-    """Read the evaluated mesh of an object, with modifiers and shape keys, in object space, and the images that color its materials.
+    """Read the evaluated mesh of an object, with modifiers, shape keys and all instances that the object makes, in object space, and the
+    images that color its materials.
 
     has_attributes: whether normals and color attributes are read, too. read_image: see `read_color_image`.
 
     Raises:
-        GeometryError: it has no faces or no area.
+        GeometryError: it has no faces or no area, or values that are not finite; see also `read_joined_mesh`.
         FileError: an image is missing.
     """
-    evaluated = next((instance.mesh for instance in read_instances([item], depsgraph) if instance.name == item.name), None)
-    if evaluated is None:
-        raise GeometryError(f'"{item.name}" has no faces; select a mesh with a UV map and a texture.')
+    evaluated, mesh_count = read_joined_mesh(item, depsgraph)
     uv_map, textures, remarks = _read_textures(item, evaluated, read_image)
     count = len(evaluated.triangles)
     corner_uvs = evaluated.at_corners(uv_map, np.arange(count)) if uv_map else np.zeros((count, 3, 2), np.float32)
@@ -69,6 +68,7 @@ def read_textured_source(
     textured = build_textured_mesh(mesh, corner_uvs, values, item.name)
     remarks = [
         *remarks,
+        *([f'The levels of "{item.name}" are one mesh, joined from {mesh_count:,} instances.'] if mesh_count > 1 else []),
         *_describe_evaluation(item),
         *_describe_edges(item.name, textured),
         *_describe_uvs(item.name, textured, bool(uv_map)),
@@ -124,6 +124,7 @@ def _read_corner_values(mesh: EvaluatedMesh) -> tuple[np.ndarray, tuple[tuple[st
     return np.concatenate(parts, axis=2) if parts else np.zeros((len(triangles), 3, 0), np.float32), tuple(attributes)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # A later check reports coordinates that are not finite.
 def _find_flat(mesh: EvaluatedMesh) -> np.ndarray:
     """Return which triangles (T,) bool are shaded flat: their corners have the same normal, and it is that of the triangle."""
     normals = mesh.normals[mesh.loops]

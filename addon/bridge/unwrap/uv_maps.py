@@ -10,7 +10,7 @@ from ...core.errors import GeometryError
 from ...core.geometry.mesh import TriangleMesh
 from ...core.geometry.transforms import transform_points
 from ..geometry.mesh_arrays import read_attribute, read_loop_triangles, read_loop_vertices, read_positions, read_uvs, read_values, write_uvs
-from ..geometry.meshes import describe_type, is_in_view_layer
+from ..geometry.meshes import describe_type, is_collection_instance, is_in_view_layer
 from ..objects import find_by_uid
 
 STRETCH_ATTRIBUTE = "farfield_stretch"  # Face attribute: maximum stretch of the triangles of a polygon.
@@ -84,6 +84,8 @@ def read_uv_target(item: bpy.types.Object, vertex_group: str | None) -> UvTarget
 
 def skip_reason(item: bpy.types.Object, uv_map: str) -> str:
     """Return why no UV map of this name can be written into an object's mesh, or an empty string."""
+    if is_collection_instance(item):
+        return "it is an instance of a collection; make it real, or unwrap the meshes of the collection"
     if item.type != "MESH":
         return f"{describe_type(item)} has no UV map"
     mesh = item.data

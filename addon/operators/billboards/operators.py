@@ -12,7 +12,7 @@ from .. import long_work, properties, start_job
 from ..error_reports import report_message, reports_errors
 from .estimates import cache, estimate_key
 from .job import BillboardJob, prepare_job
-from .sources import describe_exceptions, may_have_surface, missing_original_message, quote_names
+from .sources import describe_exceptions, missing_original_message, quote_names
 
 SHOW_ITEMS = [
     ("TOGGLE", "Toggle", "Show the cloud if its original is visible, otherwise the original"),

@@ -48,11 +48,6 @@ def read_sources(context: bpy.types.Context, objects: Sequence[bpy.types.Object]
     return sources, skipped
 
 
-def may_have_surface(item: bpy.types.Object) -> bool:
-    """Return whether the type of `item` can have faces or points: a mesh, a curve and the like, or a collection instance."""
-    return item.type in meshes.SURFACE_TYPES or (item.type == "EMPTY" and item.instance_type == "COLLECTION")
-
-
 def is_point_cloud(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
     """Return whether the evaluated `item` is a mesh with only vertices."""
     if item.type != "MESH" or item.mode == "EDIT":

@@ -5,7 +5,7 @@ from typing import TypeVar
 
 import bpy
 
-from ...bridge.geometry.meshes import SURFACE_TYPES, describe_type, is_in_view_layer
+from ...bridge.geometry.meshes import describe_type, is_in_view_layer, may_have_surface
 from ...bridge.objects import temporarily_visible
 from ...bridge.texmesh.level_sets import find_level_set
 from ...bridge.texmesh.sources import read_textured_source
@@ -27,7 +27,7 @@ def source_objects(context: bpy.types.Context) -> list[bpy.types.Object]:
 
 def refusal(item: bpy.types.Object, view_layer: bpy.types.ViewLayer) -> str:
     """Return why no levels can be made from an object, or an empty string."""
-    if item.type not in SURFACE_TYPES:
+    if not may_have_surface(item):
         return f"{describe_type(item)} has no surface"
     if not is_in_view_layer(item, view_layer):
         return "its collection is excluded from the view layer"
