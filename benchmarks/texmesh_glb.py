@@ -24,7 +24,8 @@ import numpy as np
 
 environment.import_farfield()
 
-from farfield.addon.core.files.glb import GlbMaterial, GlbMesh, GlbNode, GlbPrimitive, GlbScene, write_glb
+from farfield.addon.core.files.glb import GlbMesh, GlbNode, GlbPrimitive, GlbScene, write_glb
+from farfield.addon.core.files.glb_materials import GlbMaterial, GlbTexture
 from farfield.addon.core.files.temporary_folders import temporary_folder
 from farfield.addon.core.imaging.coded_images import encode
 
@@ -55,7 +56,7 @@ def make_scenes() -> dict[str, GlbScene]:
     """Return the scenes by name."""
     image = encode(np.random.default_rng(1).integers(0, 255, (64, 64, 3)).astype(np.uint8), "png")
     photo = encode(np.full((64, 64, 3), 90, np.uint8), "jpeg")
-    painted, plain = GlbMaterial("painted", image=0), GlbMaterial("plain", (0.8, 0.2, 0.1, 1.0), is_double_sided=True)
+    painted, plain = GlbMaterial("painted", texture=GlbTexture(0)), GlbMaterial("plain", (0.8, 0.2, 0.1, 1.0), is_double_sided=True)
     one = GlbNode("object", 0)
     fine = make_sphere(48, 0)
     bounds = np.stack([fine.positions.min(axis=0), fine.positions.max(axis=0)])

@@ -80,9 +80,9 @@ def make_levels(given: Namespace, line: command_line.ProgressLine) -> str:
         summary = run_to_end(run_job(job), line.show)
     line.clear()
     with clock.stage("write"):
-        write_output(job, out, given)
+        lacking = write_output(job, out, given)
     write_report(given, [{"name": name, **describe_chain(chain)} for name, chain in named_chains(job)], job.skipped, clock)
-    return summary
+    return " ".join([summary, *lacking])
 
 
 def analyze(given: Namespace, line: command_line.ProgressLine) -> str:
@@ -103,12 +103,13 @@ def analyze(given: Namespace, line: command_line.ProgressLine) -> str:
     return summary
 
 
-def write_output(job: LevelsJob, out: Path, given: Namespace) -> None:
-    """Write the scene, or the levels as .glb, depending on the extension of `out`."""
+def write_output(job: LevelsJob, out: Path, given: Namespace) -> list[str]:
+    """Write the scene, or the levels as .glb, depending on the extension of `out`. Return sentences about what the output lacks."""
     if out.suffix.lower() == ".blend":
         scene_files.save_scene(out)
-        return
-    write_levels([read_level_set(bpy.data.collections[name]) for name in job.chains], out, given.quantized, given.one_file)
+        return []
+    _, lacking = write_levels([read_level_set(bpy.data.collections[name]) for name in job.chains], out, given.quantized, given.one_file)
+    return lacking
 
 
 def named_chains(job: LevelsJob) -> list[tuple[str, Any]]:

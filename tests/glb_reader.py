@@ -20,16 +20,15 @@ from farfield.addon.core.files.glb import (
     MAGIC,
     QUANTIZATION,
     SCREEN_COVERAGE,
-    TEXTURE_TRANSFORM,
     TYPES,
     VERSION,
-    GlbMaterial,
     GlbMesh,
     GlbNode,
     GlbPrimitive,
     GlbScene,
     flip_v,
 )
+from farfield.addon.core.files.glb_materials import NEAREST, OPAQUE, TEXTURE_TRANSFORM, WRAPS, GlbMaterial, GlbTexture
 
 READABLE_EXTENSIONS = {QUANTIZATION, TEXTURE_TRANSFORM, LEVELS, "KHR_materials_unlit"}
 DTYPES = {component: np.dtype(f"<{name}") for name, component in COMPONENTS.items()}
@@ -204,7 +203,18 @@ def _read_material(reader: _Reader, material: dict[str, Any]) -> tuple[GlbMateri
         rotation = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])  # v is downwards
         transform = np.column_stack([rotation * scale, np.array(extension.get("offset", (0.0, 0.0)), np.float64)])
     name, is_double_sided = str(material.get("name", "")), bool(material.get("doubleSided", False))
-    return GlbMaterial(name, factor, image, is_double_sided), (uv_set, transform)
+    texture = None if image is None else GlbTexture(image, *_read_sampler(reader, texture["index"]))
+    mode, cutoff = str(material.get("alphaMode", OPAQUE)), float(material.get("alphaCutoff", 0.5))
+    return GlbMaterial(name, factor, texture, is_double_sided, mode, cutoff), (uv_set, transform)
+
+
+def _read_sampler(reader: _Reader, texture: int) -> tuple[tuple[str, str], bool]:
+    """Return how a texture is wrapped, and whether its pixels are squares."""
+    index = reader.get("textures", texture).get("sampler")
+    sampler = {} if index is None else reader.get("samplers", index)
+    names = {code: name for name, code in WRAPS.items()}
+    wraps = tuple(names[sampler.get(key, WRAPS["repeat"])] for key in ("wrapS", "wrapT"))
+    return wraps, sampler.get("magFilter") == NEAREST
 
 
 def _read_primitives(reader: _Reader, mesh: dict[str, Any], transforms: list[tuple[int, np.ndarray]]) -> list[GlbPrimitive]:

@@ -81,7 +81,7 @@ def _insert_group(material: bpy.types.Material) -> None:
     tree = material.node_tree
     for output in [node for node in tree.nodes if node.type == "OUTPUT_MATERIAL"]:
         links = output.inputs["Surface"].links
-        if not links or _is_crossfade(links[0].from_node):
+        if not links or is_crossfade(links[0].from_node):
             continue
         shader = links[0].from_socket
         builder = NodeBuilder(tree)
@@ -95,7 +95,7 @@ def _insert_group(material: bpy.types.Material) -> None:
 
 def _remove_group(material: bpy.types.Material) -> None:
     tree = material.node_tree
-    for node in [node for node in tree.nodes if _is_crossfade(node)] if tree is not None else []:
+    for node in [node for node in tree.nodes if is_crossfade(node)] if tree is not None else []:
         shader = node.inputs[0].links[0].from_socket if node.inputs[0].links else None
         for link in list(node.outputs[0].links):
             link.to_node.location.x -= NODE_WIDTH
@@ -104,7 +104,8 @@ def _remove_group(material: bpy.types.Material) -> None:
         tree.nodes.remove(node)
 
 
-def _is_crossfade(node: bpy.types.Node) -> bool:
+def is_crossfade(node: bpy.types.Node) -> bool:
+    """Return whether a node is the group that cross-fades a material."""
     return node.type == "GROUP" and node.node_tree is not None and node.node_tree.name.startswith(GROUP_NAME)
 
 

@@ -22,7 +22,13 @@ def scatter(item: bpy.types.Object, leaf: bpy.types.Object, keeps_own: bool) -> 
         tree.interface.new_socket(name, in_out=direction, socket_type="NodeSocketGeometry")
     start, info, instances, join, end = (
         tree.nodes.new(kind)
-        for kind in ("NodeGroupInput", "GeometryNodeObjectInfo", "GeometryNodeInstanceOnPoints", "GeometryNodeJoinGeometry", "NodeGroupOutput")
+        for kind in (
+            "NodeGroupInput",
+            "GeometryNodeObjectInfo",
+            "GeometryNodeInstanceOnPoints",
+            "GeometryNodeJoinGeometry",
+            "NodeGroupOutput",
+        )
     )
     info.inputs["Object"].default_value, info.inputs["As Instance"].default_value = leaf, True
     instances.inputs["Scale"].default_value = (0.5, -0.25, 0.5)
@@ -76,7 +82,9 @@ def test_instances_of_geometry_nodes(keeps_own):
     uvs = joined.at_corners(joined.uv_map, np.arange(len(joined.triangles)))
     layer = np.empty(2 * len(leaf.data.loops), np.float32)
     leaf.data.uv_layers[0].uv.foreach_get("vector", layer)
-    assert np.allclose(np.sort(uvs[own : own + 12].reshape(-1, 2), axis=0)[[0, -1]], [layer.reshape(-1, 2).min(0), layer.reshape(-1, 2).max(0)])
+    assert np.allclose(
+        np.sort(uvs[own : own + 12].reshape(-1, 2), axis=0)[[0, -1]], [layer.reshape(-1, 2).min(0), layer.reshape(-1, 2).max(0)]
+    )
 
 
 def test_instances_of_collections_within_collections():

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 import shapes
 from farfield.addon.core.errors import FileError, GeometryError
 from farfield.addon.core.files.glb import (
-    GlbMaterial,
     GlbMesh,
     GlbNode,
     GlbPrimitive,
@@ -20,6 +19,7 @@ from farfield.addon.core.files.glb import (
     encode_glb,
     write_glb,
 )
+from farfield.addon.core.files.glb_materials import GlbMaterial, GlbTexture
 from farfield.addon.core.imaging.coded_images import encode
 from glb_reader import read_glb
 
@@ -37,7 +37,7 @@ def primitive(rings: int = 6, material: int | None = 0, uv_scale: float = 1.0, o
 
 def scene(**options) -> GlbScene:
     parts = (primitive(**options), primitive(rings=5, material=1), primitive(rings=4, material=None))
-    materials = (GlbMaterial("painted", (0.5, 0.25, 1.0, 1.0), 0), GlbMaterial("plain", is_double_sided=True))
+    materials = (GlbMaterial("painted", (0.5, 0.25, 1.0, 1.0), GlbTexture(0)), GlbMaterial("plain", is_double_sided=True))
     return GlbScene((GlbNode("object", 0),), (GlbMesh("mesh", parts),), materials, (IMAGE,))
 
 
@@ -79,7 +79,7 @@ def test_levels_with_the_same_bounds_have_equal_positions_and_are_found_again(tm
     coarse = GlbPrimitive(fine.positions[:40], np.array([[0, 1, 2]]))
     meshes = (GlbMesh("fine", (fine,), bounds), GlbMesh("coarse", (coarse,), bounds))
     nodes = (GlbNode("fine", 0, levels=(1,), coverages=(0.5, 0.01)), GlbNode("coarse", 1))
-    write_glb(GlbScene(nodes, meshes, (GlbMaterial("m", image=0),), (IMAGE,)), tmp_path / "a.glb", is_quantized=True)
+    write_glb(GlbScene(nodes, meshes, (GlbMaterial("m", texture=GlbTexture(0)),), (IMAGE,)), tmp_path / "a.glb", is_quantized=True)
     read = read_glb(tmp_path / "a.glb")
     assert read.nodes[0].levels == (1,) and read.nodes[0].coverages == (0.5, 0.01)
     assert np.array_equal(world_positions(read, 0)[:40], world_positions(read, 1))

@@ -4,9 +4,10 @@ import bpy
 import numpy as np
 import pytest
 
+from farfield.addon.bridge.shading.surface_reader import read_surface
 from farfield.addon.bridge.texmesh import color_images
 from farfield.addon.bridge.texmesh.color_images import find_color_image, find_color_images, read_color_image
-from farfield.addon.bridge.texmesh.glb_materials import find_base_color, read_coded_image
+from farfield.addon.bridge.texmesh.glb_images import read_coded_image
 from farfield.addon.bridge.texmesh.sources import read_textured_source
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.imaging.coded_images import decode
@@ -124,7 +125,7 @@ def test_materials_without_an_image():
     material = textured_material(None)
     material.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.1, 0.2, 0.3, 1.0)
     assert find_color_image(material) == (None, "")
-    assert find_base_color(material) == pytest.approx((0.1, 0.2, 0.3, 1.0))
+    assert read_surface(material).color.factor == pytest.approx((0.1, 0.2, 0.3))
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """Objects as packages need them: in their orientation and size in the world, with the images that the shaders of their materials use."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import bpy
@@ -9,13 +10,15 @@ from ...core.packages.material_sources import MaterialSource
 from ...core.texmesh.textured_mesh import TexturedMesh
 from ..geometry.meshes import find_material
 from ..objects import world_matrix
-from ..texmesh.color_images import find_color_image, find_image_node
-from ..texmesh.glb_materials import WHITE, find_base_color, find_surface_node
-from ..texmesh.sources import read_textured_source
+from ..shading.color_products import CHANNELS
+from ..shading.surface_reader import MaterialSurface, read_surface
+from ..texmesh.color_images import find_image_node
+from ..texmesh.glb_materials import choose_textures, describe_unread
+from ..texmesh.sources import TexturedSource, read_textured_source
 from .images import MEAN, PackageImages
 
 INPUTS = {"roughness": "Roughness", "metallic": "Metallic", "emission": "Emission Color"}  # input of Principled BSDF by role
-CHANNELS = ("Red", "Green", "Blue")
+STORED_INPUTS = {*INPUTS.values(), "Normal"}
 
 
 @dataclass(frozen=True)
@@ -45,13 +48,39 @@ def read_package_source(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) 
     """
     images = PackageImages()
     source = read_textured_source(item, depsgraph, has_attributes=False, read_image=images.read_analyzed)
-    slots = source.evaluated.materials or (None,)
-    materials = tuple(read_material(None if key is None else find_material(key), images) for key in slots)
-    textures = source.textures or (None,)
-    remarks = list(source.remarks)
-    if any(_has_alpha(None if key is None else find_material(key)) for key in slots):
-        remarks.append(f'Transparent parts of the materials of "{item.name}" are opaque in the package.')
-    return PackageSource(source.name, _to_world(source.mesh, item), materials, textures, tuple(remarks))
+    found = [None if key is None else find_material(key) for key in source.evaluated.materials or (None,)]
+    surfaces = [None if material is None else read_surface(material) for material in found]
+    materials = tuple(read_material(*pair, images) for pair in zip(found, surfaces, strict=True))
+    unread = {
+        material.name: _list_unread(surface, source) for material, surface in zip(found, surfaces, strict=True) if material is not None
+    }
+    remarks = [*source.remarks, *describe_unread({name: labels for name, labels in unread.items() if labels}, "The package")]
+    mesh = _to_world(_place_uvs(source.mesh, surfaces), item)
+    return PackageSource(source.name, mesh, materials, source.textures or (None,), tuple(remarks))
+
+
+def _place_uvs(mesh: TexturedMesh, surfaces: Sequence[MaterialSurface | None]) -> TexturedMesh:
+    """Return `mesh` with texture coordinates of the images, which materials may have moved, turned and scaled."""
+    uvs = mesh.uvs.copy()
+    for number, surface in enumerate(surfaces):
+        use = None if surface is None else choose_textures(surface)[0]
+        if use is not None and not np.array_equal(use.matrix, np.eye(2, 3)):
+            wedges = np.unique(mesh.wedge_triangles[mesh.materials == number])
+            uvs[wedges] = mesh.uvs[wedges] @ use.matrix[:, :2].T + use.matrix[:, 2]
+    return replace(mesh, uvs=uvs)
+
+
+def _list_unread(surface: MaterialSurface, source: TexturedSource) -> tuple[str, ...]:
+    """Return labels of what the package lacks of a material."""
+    color, _, unread = choose_textures(surface)
+    leaves = (
+        source.mesh.uvs.min() < 0.0 or source.mesh.uvs.max() > 1.0 or (color is not None and not np.array_equal(color.matrix, np.eye(2, 3)))
+    )
+    labels = [label for label in unread if label not in STORED_INPUTS]
+    labels += [] if surface.is_opaque else ["transparent parts"]
+    labels += ["vertex colors"] if surface.color.attributes else []
+    labels += ["the wrapping of its image"] if color is not None and leaves and color.wrap != ("repeat", "repeat") else []
+    return tuple(dict.fromkeys(labels))
 
 
 def _to_world(mesh: TexturedMesh, item: bpy.types.Object) -> TexturedMesh:
@@ -64,29 +93,19 @@ def _to_world(mesh: TexturedMesh, item: bpy.types.Object) -> TexturedMesh:
     return replace(turned, **backwards)
 
 
-def _has_alpha(material: bpy.types.Material | None) -> bool:
-    """Return whether the first shader of a material is not opaque."""
-    if material is None or material.node_tree is None:
-        return False
-    nodes = [node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED"]
-    return any(node.inputs["Alpha"].links or node.inputs["Alpha"].default_value < 1.0 for node in nodes)
-
-
-def read_material(material: bpy.types.Material | None, images: PackageImages) -> MaterialSource:
-    """Return the base color, and the images of the shader nearest to the output of a material.
+def read_material(material: bpy.types.Material | None, surface: MaterialSurface | None, images: PackageImages) -> MaterialSource:
+    """Return the base color, and the images of the shader nearest to the output of a material with a `surface`.
 
     Raises:
         FileError: an image has no pixels, for instance because its file is missing.
     """
     if material is None:
         return MaterialSource("", (0.8, 0.8, 0.8, 1.0), False, {})
-    image, _ = find_color_image(material)
-    found = {} if image is None else {"base_color": images.read_colors(image)}
-    color = WHITE if image is not None else find_base_color(material)
-    node = find_surface_node(material)
-    if node is not None:
-        found |= _read_data_images(node, images)
-    return MaterialSource(material.name, color, not material.use_backface_culling, found)
+    color, _, _ = choose_textures(surface)
+    found = {} if color is None else {"base_color": images.read_colors(color.image)}
+    if surface.shader is not None:
+        found |= _read_data_images(surface.shader, images)
+    return MaterialSource(material.name, (*surface.color.factor, 1.0), not material.use_backface_culling, found)
 
 
 def _read_data_images(node: bpy.types.Node, images: PackageImages) -> dict[str, np.ndarray]:

@@ -16,14 +16,17 @@ from ...core.texmesh.perception.switch_distances import level_coverages
 from ..geometry.evaluated_mesh import read_evaluated_mesh
 from ..geometry.meshes import find_material
 from ..objects import world_matrix
-from .glb_materials import GlbMaterials
+from .glb_materials import GlbMaterials, describe_unread
 from .level_sets import LevelSet
 
 NORMAL_STEPS = 1023.0  # normals of a vertex that are equal to 1/NORMAL_STEPS are one: Blender rounds them differently per corner
 
 
-def write_levels(sets: Sequence[LevelSet], path: Path, is_quantized: bool = True, is_one_file: bool = False) -> list[Path]:
-    """Write levels and return the files: `path` if it is one file, otherwise one per level next to it, see `level_path`.
+def write_levels(
+    sets: Sequence[LevelSet], path: Path, is_quantized: bool = True, is_one_file: bool = False
+) -> tuple[list[Path], list[str]]:
+    """Write levels and return the files: `path` if it is one file, otherwise one per level next to it, see `level_path`. Also return
+    sentences about what the files lack.
 
     File N has level N of every object, or its coarsest one. All files appear, or none.
 
@@ -32,11 +35,13 @@ def write_levels(sets: Sequence[LevelSet], path: Path, is_quantized: bool = True
     """
     count = 1 if is_one_file else max(len(levels.levels) for levels in sets)
     paths = [path if is_one_file else level_path(path, number) for number in range(count)]
+    unread: dict[str, tuple[str, ...]] = {}
     with atomic_folder(path.parent) as folder:
         for number, target in enumerate(paths):
-            scene = build_scene_of_all(sets) if is_one_file else build_scene_of_level(sets, number)
+            scene, lacking = build_scene_of_all(sets) if is_one_file else build_scene_of_level(sets, number)
             (folder / target.name).write_bytes(encode_glb(scene, is_quantized))
-    return paths
+            unread |= lacking
+    return paths, describe_unread(unread, "The .glb" if is_one_file else "Each .glb")
 
 
 def level_outputs(path: Path, others: Sequence[Path] = ()) -> list[Output]:
@@ -59,18 +64,19 @@ def level_path(path: Path, number: int) -> Path:
     return path.with_name(f"{path.stem}-L{number}{path.suffix}")
 
 
-def build_scene_of_level(sets: Sequence[LevelSet], number: int) -> GlbScene:
-    """Return the scene with one level of each object, or its coarsest one."""
+def build_scene_of_level(sets: Sequence[LevelSet], number: int) -> tuple[GlbScene, dict[str, tuple[str, ...]]]:
+    """Return the scene with one level of each object, or its coarsest one, and what it lacks by material."""
     materials, nodes, meshes = GlbMaterials(), [], []
     for levels in sets:
         item = levels.levels[min(number, len(levels.levels) - 1)]
         nodes.append(GlbNode(item.name, len(meshes), _matrix(item)))
         meshes.append(GlbMesh(item.data.name, read_primitives(item, materials), _bounds(levels)))
-    return GlbScene(tuple(nodes), tuple(meshes), tuple(materials.materials), tuple(materials.images))
+    return GlbScene(tuple(nodes), tuple(meshes), tuple(materials.materials), tuple(materials.images)), materials.unread
 
 
-def build_scene_of_all(sets: Sequence[LevelSet]) -> GlbScene:
-    """Return the scene with all levels of each object: the finest one is replaced by the others as it covers less of the image."""
+def build_scene_of_all(sets: Sequence[LevelSet]) -> tuple[GlbScene, dict[str, tuple[str, ...]]]:
+    """Return the scene with all levels of each object: the finest one is replaced by the others as it covers less of the image. Also
+    return what it lacks by material."""
     materials, nodes, meshes = GlbMaterials(), [], []
     for levels in sets:
         first, bounds = len(nodes), _bounds(levels)
@@ -79,11 +85,12 @@ def build_scene_of_all(sets: Sequence[LevelSet]) -> GlbScene:
             coverages = _coverages(levels) if others else ()
             nodes.append(GlbNode(item.name, len(meshes), _matrix(item), others, coverages))
             meshes.append(GlbMesh(item.data.name, read_primitives(item, materials), bounds))
-    return GlbScene(tuple(nodes), tuple(meshes), tuple(materials.materials), tuple(materials.images))
+    return GlbScene(tuple(nodes), tuple(meshes), tuple(materials.materials), tuple(materials.images)), materials.unread
 
 
 def read_primitives(item: bpy.types.Object, materials: GlbMaterials) -> tuple[GlbPrimitive, ...]:
-    """Return the triangles of an object by material, in its own space with y upwards, with normals and the UV map that renders.
+    """Return the triangles of an object by material, in its own space with y upwards, with normals, the UV map of the material and the
+    vertex colors that it shows.
 
     Raises:
         GeometryError: it has none, or is in Edit Mode. FileError: an image of a material cannot be read.
@@ -93,30 +100,38 @@ def read_primitives(item: bpy.types.Object, materials: GlbMaterials) -> tuple[Gl
     mesh = read_evaluated_mesh(item.data, item)
     if not len(mesh.triangles):
         raise GeometryError(f'"{item.name}" has no triangles to write; make its levels again.')
-    triangles = np.arange(len(mesh.triangles))
-    uvs = mesh.at_corners(mesh.uv_map, triangles).astype(np.float64) if mesh.uv_map else np.zeros((len(triangles), 3, 0))
     normals = mesh.normals[mesh.loops].astype(np.float64)
     primitives = []
     for index in np.unique(mesh.material_indices).tolist():
         rows = mesh.material_indices == index
         key = mesh.materials[index]
-        material = materials.add(None if key is None else find_material(key))
-        primitives.append(_join_corners(mesh.vertices, mesh.triangles[rows], normals[rows], uvs[rows], material))
+        material, use = materials.add(None if key is None else find_material(key))
+        uvs, colors = (None if values is None else values[rows] for values in (use.read_uvs(mesh), use.read_colors(mesh)))
+        materials.note_uvs(material, uvs)
+        primitives.append(_join_corners(mesh.vertices, mesh.triangles[rows], normals[rows], uvs, colors, material))
     return tuple(primitives)
 
 
-def _join_corners(vertices: np.ndarray, triangles: np.ndarray, normals: np.ndarray, uvs: np.ndarray, material: int | None) -> GlbPrimitive:
-    """Return a primitive in which corners with the same vertex, normal and texture coordinates are one vertex."""
-    columns = [values.reshape(triangles.size, -1) for values in (triangles, np.rint(NORMAL_STEPS * normals))]
-    columns.append(uvs.reshape(triangles.size, uvs.shape[2]))
-    _, first, inverse = np.unique(np.concatenate(columns, axis=1), axis=0, return_index=True, return_inverse=True)
+def _join_corners(
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    normals: np.ndarray,
+    uvs: np.ndarray | None,
+    colors: np.ndarray | None,
+    material: int | None,
+) -> GlbPrimitive:
+    """Return a primitive in which corners with the same vertex, normal, texture coordinates and color are one vertex."""
+    columns = [triangles, np.rint(NORMAL_STEPS * normals), *(values for values in (uvs, colors) if values is not None)]
+    rows = np.concatenate([values.reshape(triangles.size, -1) for values in columns], axis=1)
+    _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     positions = vertices[triangles.ravel()[first]].astype(np.float64) @ Y_UP.T
     return GlbPrimitive(
         positions,
         inverse.reshape(-1, 3).astype(np.int32),
         normals.reshape(-1, 3)[first] @ Y_UP.T,
-        uvs.reshape(-1, 2)[first] if uvs.shape[2] else None,
-        material=material,
+        None if uvs is None else uvs.reshape(-1, 2)[first],
+        None if colors is None else colors.reshape(triangles.size, -1)[first],
+        material,
     )
 
 

@@ -1,110 +1,151 @@
-"""Materials of levels for glTF files: the base color and the image file with it."""
+"""Materials of levels for glTF files: what they can store of a material, and names of the rest."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import bpy
 import numpy as np
 
-from ...compat import uses_nodes
-from ...core.files.file_access import convert_os_errors, is_file
-from ...core.files.glb import IMAGE_TYPES, GlbMaterial
-from ...core.imaging.coded_images import encode
-from ...core.imaging.colors import encode_signed_srgb
-from ..imaging.color_spaces import SRGB, read_linear_pixels
-from ..imaging.images import find_path, read_pixels
-from .color_images import COLOR_INPUTS, check_pixels, find_color_image
+from ...core.files.glb_materials import BLEND, MASK, OPAQUE, GlbMaterial, GlbTexture, is_placement
+from ..geometry.evaluated_mesh import EvaluatedMesh
+from ..shading.surface_reader import MaterialSurface, read_surface
+from ..shading.texture_uses import TextureUse
+from .glb_images import read_used_image
 
-WHITE = (1.0, 1.0, 1.0, 1.0)
-MAX_NODES = 64  # between the output of a material and the node with its color
+IDENTITY = np.eye(2, 3)
+Key = tuple[str, str] | None  # name and channel of an image
+
+
+@dataclass(frozen=True)
+class VertexUse:
+    """What a material reads from vertices: the name of the UV map, "" for the one that renders, and the names of the color attributes
+    that its color and its opacity are multiplied with."""
+
+    uv_map: str = ""
+    colors: tuple[tuple[str, str], ...] = ()
+    alphas: tuple[tuple[str, str], ...] = ()
+
+    def read_uvs(self, mesh: EvaluatedMesh) -> np.ndarray | None:
+        """Return the texture coordinates (T, 3, 2) float64 of the corners of a mesh, None without a UV map."""
+        name = self.uv_map if self.uv_map in mesh.attributes else mesh.uv_map
+        return mesh.at_corners(name, np.arange(len(mesh.triangles))).astype(np.float64) if name else None
+
+    def read_colors(self, mesh: EvaluatedMesh) -> np.ndarray | None:
+        """Return the colors (T, 3, 3 or 4) float64 of the corners of a mesh, scene-linear, None if they do not count."""
+        if not self.colors and not self.alphas:
+            return None
+        result = np.ones((len(mesh.triangles), 3, 4))
+        for attributes, components in ((self.colors, slice(0, 3)), (self.alphas, slice(3, 4))):
+            for name, output in attributes:
+                result[..., components] *= _read_attribute(mesh, name, output)
+        return result if self.alphas else result[..., :3]
+
+
+def _read_attribute(mesh: EvaluatedMesh, name: str, output: str) -> np.ndarray:
+    """Return what an attribute node shows of an attribute at the corners, (T, 3, 1 or 3); 0 without the attribute, as in renders."""
+    attribute = mesh.attributes.get(name or mesh.color)
+    if attribute is None:
+        return np.zeros((len(mesh.triangles), 3, 1))
+    values = mesh.at_corners(name or mesh.color, np.arange(len(mesh.triangles)))
+    if output == "Alpha":
+        return values[..., 3:4] if values.shape[2] == 4 else np.ones((len(values), 3, 1))
+    return values[..., :3] if values.shape[2] >= 3 else values[..., :1]
 
 
 @dataclass
 class GlbMaterials:
-    """Materials and images of a file, each once, in the order in which they are added."""
+    """Materials and images of a file, each once, in the order in which they are added.
+
+    Attributes:
+        materials, images: the content of the file.
+        unread: by material, what the file lacks of it.
+    """
 
     materials: list[GlbMaterial] = field(default_factory=list)
     images: list[bytes] = field(default_factory=list)
-    _indices: dict[bpy.types.Material, int] = field(default_factory=dict)
-    _image_indices: dict[bpy.types.Image, int] = field(default_factory=dict)
+    unread: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    _found: dict[bpy.types.Material, tuple[int, VertexUse]] = field(default_factory=dict)
+    _image_indices: dict[tuple[Key, Key, bool], int] = field(default_factory=dict)
+    _cuts: dict[int, np.ndarray] = field(default_factory=dict)
 
-    def add(self, material: bpy.types.Material | None) -> int | None:
-        """Return the index of a material, None for none.
+    def add(self, material: bpy.types.Material | None) -> tuple[int | None, VertexUse]:
+        """Return the index of a material, None for none, and what it reads from vertices.
 
         Raises:
             FileError: its image is missing or cannot be read.
         """
         if material is None:
-            return None
-        if material not in self._indices:
-            image, _ = find_color_image(material)
-            color = WHITE if image is not None else find_base_color(material)
-            index = None if image is None else self._add_image(image)
-            self._indices[material] = len(self.materials)
-            self.materials.append(GlbMaterial(material.name, color, index, not material.use_backface_culling))
-        return self._indices[material]
+            return None, VertexUse()
+        if material not in self._found:
+            self._found[material] = self._read(material)
+        return self._found[material]
 
-    def _add_image(self, image: bpy.types.Image) -> int:
-        if image not in self._image_indices:
-            self.images.append(read_coded_image(image))
-            self._image_indices[image] = len(self.images) - 1
-        return self._image_indices[image]
+    def _read(self, material: bpy.types.Material) -> tuple[int, VertexUse]:
+        surface = read_surface(material)
+        color, alpha, unread = choose_textures(surface)
+        mode = OPAQUE if surface.is_opaque else BLEND if surface.alpha_cutoff is None else MASK
+        used = color or alpha
+        texture = None
+        if used is not None:
+            matrix = used.matrix if is_placement(used.matrix) else IDENTITY
+            unread += () if is_placement(used.matrix) else ("Mapping",)
+            placement = None if np.array_equal(matrix, IDENTITY) else tuple(map(tuple, matrix.tolist()))
+            texture = GlbTexture(self._add_image(color, alpha, mode == OPAQUE), used.wrap, used.is_nearest, placement)
+            if used.is_cut:
+                self._cuts[len(self.materials)] = used.matrix
+        factors = np.array([*surface.color.factor, 1.0 if mode == OPAQUE else surface.alpha.factor[0]])
+        unread += ("a color above 1",) if (factors > 1.0).any() else ()
+        self.materials.append(
+            GlbMaterial(
+                name=material.name,
+                base_color=tuple(np.clip(factors, 0.0, 1.0).tolist()),
+                texture=texture,
+                is_double_sided=not material.use_backface_culling,
+                alpha_mode=mode,
+                alpha_cutoff=0.5 if surface.alpha_cutoff is None else surface.alpha_cutoff,
+            )
+        )
+        self._note(material.name, unread)
+        use = VertexUse("" if used is None else used.uv_map, surface.color.attributes, surface.alpha.attributes)
+        return len(self.materials) - 1, use
 
+    def note_uvs(self, index: int | None, uvs: np.ndarray | None) -> None:
+        """Note if texture coordinates (..., 2) leave the image of a material that shows nothing there."""
+        if uvs is not None and index in self._cuts:
+            placed = uvs @ self._cuts[index][:, :2].T + self._cuts[index][:, 2]
+            if placed.min() < 0.0 or placed.max() > 1.0:
+                self._note(self.materials[index].name, ("the border of its image",))
 
-def find_base_color(material: bpy.types.Material) -> tuple[float, float, float, float]:
-    """Return the scene-linear RGBA color of a material without an image: that of the first shader with a color input, white if it is
-    linked. Materials without nodes have their viewport color."""
-    if not uses_nodes(material) or material.node_tree is None:
-        return tuple(material.diffuse_color)
-    node = find_surface_node(material)
-    color = None if node is None else _color_input(node)
-    return WHITE if color is None or color.links else (*tuple(color.default_value)[:3], 1.0)
+    def _note(self, name: str, labels: Sequence[str]) -> None:
+        if labels:
+            self.unread[name] = tuple(dict.fromkeys((*self.unread.get(name, ()), *labels)))
 
-
-def find_surface_node(material: bpy.types.Material) -> bpy.types.Node | None:
-    """Return the shader node with a color input that is nearest to the output of a material, the first of mixed ones; None if there is
-    none."""
-    output = material.node_tree.get_output_node("ALL") if uses_nodes(material) and material.node_tree is not None else None
-    socket = None if output is None else output.inputs["Surface"]
-    for _ in range(MAX_NODES):
-        if socket is None or not socket.links:
-            return None
-        node = socket.links[0].from_node
-        if _color_input(node) is not None:
-            return node
-        socket = next((item for item in node.inputs if item.type == "SHADER" and item.links), None)
-    return None
-
-
-def _color_input(node: bpy.types.Node) -> bpy.types.NodeSocket | None:
-    return next((item for item in node.inputs if item.name in COLOR_INPUTS and item.type == "RGBA"), None)
-
-
-def read_coded_image(image: bpy.types.Image) -> bytes:
-    """Return an image as PNG or JPEG: as it is packed or on the disk if it is one with sRGB colors, otherwise converted to PNG.
-
-    Raises:
-        FileError: it has no pixels, for instance because its file is missing, or cannot be read.
-    """
-    check_pixels(image)
-    if image.source == "FILE" and not image.is_dirty and image.colorspace_settings.name == SRGB:
-        content = _read_content(image)
-        if any(content.startswith(start) for start in IMAGE_TYPES):
-            return content
-    is_encoded = not image.is_float and image.colorspace_settings.name == SRGB
-    pixels = read_pixels(image) if is_encoded else read_linear_pixels(image)
-    colors = pixels[..., :3] if is_encoded else encode_signed_srgb(pixels[..., :3])
-    has_alpha = bool((pixels[..., 3] < 1.0).any())
-    values = np.concatenate([colors, pixels[..., 3:]], axis=2) if has_alpha else colors
-    return encode(np.rint(255.0 * np.clip(values, 0.0, 1.0)).astype(np.uint8), "png")
+    def _add_image(self, color: TextureUse | None, alpha: TextureUse | None, is_opaque: bool) -> int:
+        key = _image_key(color), _image_key(alpha), is_opaque
+        if key not in self._image_indices:
+            self.images.append(read_used_image(color, alpha, is_opaque))
+            self._image_indices[key] = len(self.images) - 1
+        return self._image_indices[key]
 
 
-def _read_content(image: bpy.types.Image) -> bytes:
-    """Return the file of an image, b"" if there is none although it has pixels."""
-    if image.packed_files:
-        return image.packed_files[0].packed_file.data
-    path = Path(find_path(image))
-    if not is_file(path):
-        return b""
-    with convert_os_errors(f'Cannot read "{path}"'):
-        return path.read_bytes()
+def choose_textures(surface: MaterialSurface) -> tuple[TextureUse | None, TextureUse | None, tuple[str, ...]]:
+    """Return the textures of color and opacity of a surface that one image can hold, and labels of what it depends on besides."""
+    color, *further = surface.color.textures or (None,)
+    alpha, *further_alphas = surface.alpha.textures or (None,)
+    unread = [*surface.color.unread, *surface.alpha.unread, *surface.unread]
+    if color is not None and alpha is not None and not alpha.is_placed_like(color):
+        further_alphas, alpha = [alpha, *further_alphas], None
+    unread += [f'the image "{use.image.name}"' for use in (*further, *further_alphas)]
+    return color, alpha, tuple(unread)
+
+
+def describe_unread(unread: dict[str, tuple[str, ...]], place: str) -> list[str]:
+    """Return sentences about what `place`, such as "The file", lacks of materials."""
+    by_content: dict[tuple[str, ...], list[str]] = {}
+    for name, labels in unread.items():
+        by_content.setdefault(labels, []).append(f'"{name}"')
+    return [f"{place} lacks {', '.join(labels)} of {', '.join(names)}." for labels, names in by_content.items()]
+
+
+def _image_key(use: TextureUse | None) -> Key:
+    return None if use is None else (use.image.name_full, use.channel)

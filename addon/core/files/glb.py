@@ -16,6 +16,7 @@ import numpy as np
 
 from ..errors import FileError, GeometryError
 from .atomic_write import atomic_write
+from .glb_materials import TEXTURE_TRANSFORM, UNIT_RANGE, GlbMaterial, UvRange, encode_materials
 
 MAGIC, VERSION = b"glTF", 2
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
@@ -24,7 +25,7 @@ MAX_SHORT_VERTICES = 65535  # uint16 indices: 65535 itself is reserved
 COMPONENTS = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}  # NumPy type: glTF componentType
 TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 VERTEX_BUFFER, INDEX_BUFFER = 34962, 34963
-QUANTIZATION, TEXTURE_TRANSFORM, LEVELS = "KHR_mesh_quantization", "KHR_texture_transform", "MSFT_lod"
+QUANTIZATION, LEVELS = "KHR_mesh_quantization", "MSFT_lod"
 SCREEN_COVERAGE = "MSFT_screencoverage"
 Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # from Blender's axes, z upwards, to those of glTF
 GENERATOR = "Farfield"
@@ -61,17 +62,6 @@ class GlbMesh:
     name: str
     primitives: tuple[GlbPrimitive, ...]
     bounds: np.ndarray | None = None
-
-
-@dataclass(frozen=True)
-class GlbMaterial:
-    """A material. base_color: scene-linear RGBA, multiplied with the image. image: index of the base color texture in the scene's images.
-    is_double_sided: whether back faces show."""
-
-    name: str
-    base_color: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
-    image: int | None = None
-    is_double_sided: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,21 +135,6 @@ class _Buffer:
         return len(self.accessors) - 1
 
 
-@dataclass(frozen=True)
-class _UvRange:
-    """The range of the texture coordinates in a file that their smallest and largest stored value represent."""
-
-    offset: tuple[float, float]
-    scale: tuple[float, float]
-
-    @property
-    def is_unit(self) -> bool:
-        return self.offset == (0.0, 0.0) and self.scale == (1.0, 1.0)
-
-
-UNIT_RANGE = _UvRange((0.0, 0.0), (1.0, 1.0))
-
-
 def write_glb(scene: GlbScene, path: Path, is_quantized: bool = False) -> None:
     """Write `scene` to `path`, completely or not at all; see `encode_glb`.
 
@@ -199,11 +174,8 @@ def encode_glb(scene: GlbScene, is_quantized: bool = False) -> bytes:
     document |= {"extensionsRequired": required} if required else {}
     document |= {"scene": 0, "scenes": [{"nodes": [index for index in range(len(scene.nodes)) if index not in levels]}]}
     document |= {"nodes": [_encode_node(node, grids[node.mesh]) for node in scene.nodes], "meshes": meshes}
-    if scene.materials:
-        document["materials"] = [_encode_material(*pair) for pair in zip(scene.materials, ranges, strict=True)]
-    if images:
-        document |= {"textures": [{"sampler": 0, "source": index} for index in range(len(images))], "images": images}
-        document["samplers"] = [{"magFilter": 9729, "minFilter": 9987, "wrapS": 10497, "wrapT": 10497}]  # trilinear, repeated
+    described = {**encode_materials(scene.materials, ranges), "images": images}
+    document |= {key: described[key] for key in ("materials", "textures", "images", "samplers") if described.get(key)}
     document |= {"accessors": buffer.accessors, "bufferViews": buffer.views, "buffers": [{"byteLength": buffer.length}]}
     return _join_chunks(document, b"".join(buffer.parts))
 
@@ -256,21 +228,21 @@ def _position_grid(mesh: GlbMesh) -> tuple[np.ndarray, float]:
     return 0.5 * (low + high), float(0.5 * (high - low).max()) or 1.0
 
 
-def _find_uv_range(scene: GlbScene, material: int) -> _UvRange:
+def _find_uv_range(scene: GlbScene, material: int) -> UvRange:
     """Return the range of the texture coordinates of all primitives with a textured material; the unit square if they are within."""
     used = [part.uvs for mesh in scene.meshes for part in mesh.primitives if part.material == material and part.uvs is not None]
-    if scene.materials[material].image is None or not used:
+    if scene.materials[material].texture is None or not used:
         return UNIT_RANGE
     stored = np.concatenate([flip_v(uvs) for uvs in used])
     low, high = stored.min(axis=0), stored.max(axis=0)
     if (low >= 0.0).all() and (high <= 1.0).all():
         return UNIT_RANGE
     scale = np.where(high > low, high - low, 1.0)
-    return _UvRange(tuple(low.tolist()), tuple(scale.tolist()))
+    return UvRange(tuple(low.tolist()), tuple(scale.tolist()))
 
 
 def _encode_primitive(
-    buffer: _Buffer, primitive: GlbPrimitive, grid: tuple[np.ndarray, float] | None, ranges: list[_UvRange]
+    buffer: _Buffer, primitive: GlbPrimitive, grid: tuple[np.ndarray, float] | None, ranges: list[UvRange]
 ) -> dict[str, Any]:
     attributes = {}
     if grid is None:
@@ -314,21 +286,11 @@ def _encode_node(node: GlbNode, grid: tuple[np.ndarray, float] | None) -> dict[s
     return result
 
 
-def _encode_material(material: GlbMaterial, uv_range: _UvRange) -> dict[str, Any]:
-    surface: dict[str, Any] = {"baseColorFactor": list(material.base_color), "metallicFactor": 0.0}
-    if material.image is not None:
-        texture: dict[str, Any] = {"index": material.image}
-        if not uv_range.is_unit:
-            texture["extensions"] = {TEXTURE_TRANSFORM: {"offset": list(uv_range.offset), "scale": list(uv_range.scale)}}
-        surface["baseColorTexture"] = texture
-    result: dict[str, Any] = {"name": material.name, "pbrMetallicRoughness": surface}
-    return {**result, "doubleSided": True} if material.is_double_sided else result
-
-
-def _list_extensions(scene: GlbScene, is_quantized: bool, ranges: list[_UvRange]) -> tuple[list[str], list[str]]:
+def _list_extensions(scene: GlbScene, is_quantized: bool, ranges: list[UvRange]) -> tuple[list[str], list[str]]:
     """Return the extensions that the file uses, and those that a reader needs to show it correctly."""
     required = [QUANTIZATION] if is_quantized else []
-    required += [TEXTURE_TRANSFORM] if any(not uv_range.is_unit for uv_range in ranges) else []
+    is_placed = any(material.texture is not None and material.texture.placement is not None for material in scene.materials)
+    required += [TEXTURE_TRANSFORM] if is_placed or any(uv_range != UNIT_RANGE for uv_range in ranges) else []
     return required + ([LEVELS] if any(node.levels for node in scene.nodes) else []), required
 
 

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..files.glb import Y_UP, GlbMaterial, GlbMesh, GlbNode, GlbPrimitive, GlbScene, encode_glb
+from ..files.glb import Y_UP, GlbMesh, GlbNode, GlbPrimitive, GlbScene, encode_glb
+from ..files.glb_materials import GlbMaterial, GlbTexture
 from ..geometry.mesh import vertex_normals
 from ..imaging.coded_images import encode
 from ..texmesh.level_chain import LevelChain
@@ -34,8 +35,11 @@ def encode_levels(name: str, chain: LevelChain, materials: Sequence[MaterialSour
         if image is not None and id(image) not in indices:
             indices[id(image)] = len(images)
             images.append(encode(image, "jpeg", QUALITY))
+    textures = [
+        None if image is None else GlbTexture(indices[id(image)]) for image in (item.images.get("base_color") for item in materials)
+    ]
     glb_materials = [
-        GlbMaterial(item.name, item.base_color, indices.get(id(item.images.get("base_color"))), item.is_double_sided) for item in materials
+        GlbMaterial(item.name, item.base_color, texture, item.is_double_sided) for item, texture in zip(materials, textures, strict=True)
     ]
     parts = [GlbMesh(node.name, tuple(_primitives(mesh)), bounds) for node, mesh in zip(nodes, meshes, strict=True)]
     return encode_glb(GlbScene(tuple(nodes), tuple(parts), tuple(glb_materials), tuple(images)), is_quantized=True)

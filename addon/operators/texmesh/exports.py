@@ -58,8 +58,8 @@ class FARFIELD_OT_texmesh_export(bpy.types.Operator):
             raise FileError(f'The file is "{self.filepath}"; its name must end in {SUFFIX}.')
         path = path.with_suffix(SUFFIX)
         check_scene_outputs([Output("the file", path)] if self.one_file else level_outputs(path))
-        paths = write_levels(selected_level_sets(context), path, self.quantized, self.one_file)
-        report_message(self, f"Saved {', '.join(item.name for item in paths)}.")
+        paths, lacking = write_levels(selected_level_sets(context), path, self.quantized, self.one_file)
+        report_message(self, " ".join([f"Saved {', '.join(item.name for item in paths)}.", *lacking]))
         return {"FINISHED"}
 
 
