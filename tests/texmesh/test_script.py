@@ -212,7 +212,7 @@ def add_armature(item):
     [
         (remove_uvs, '"Bällchen" has no UV map; only its geometry counts.'),
         (remove_materials, '"Bällchen" has no image texture; only its geometry counts.'),
-        (move_uvs, 'The UV map of "Bällchen" leaves the image; the image is repeated there.'),
+        (move_uvs, 'The UV map of "Bällchen" leaves the image; the analysis repeats the image there.'),
         (flatten_uvs, 'triangles of "Bällchen" have no area in the UV map.'),
         (flatten_uvs, 'triangles of "Bällchen" are mirrored in the UV map, and stay so.'),
         (add_fin, '"Bällchen" has 1 edge with more than two faces; its levels may be open there.'),

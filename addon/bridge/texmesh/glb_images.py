@@ -1,7 +1,5 @@
 """Images for glTF files: the files that they come from, or PNG files with the colors and the opacity that a material uses."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import bpy
@@ -11,7 +9,7 @@ from ...core.files.file_access import convert_os_errors, is_file
 from ...core.files.glb import IMAGE_TYPES
 from ...core.imaging.coded_images import encode
 from ...core.imaging.colors import LUMINANCE, encode_signed_srgb
-from ...core.imaging.images import unpremultiply
+from ...core.imaging.images import sample_bilinear, unpremultiply
 from ..imaging.color_spaces import SRGB, read_linear_pixels
 from ..imaging.images import INDEPENDENT_ALPHA, find_path, read_pixels
 from ..shading.color_products import CHANNELS
@@ -85,22 +83,29 @@ def _read_encoded(image: bpy.types.Image) -> np.ndarray:
 
 def _read_colors(use: TextureUse, size: tuple[int, int]) -> np.ndarray:
     """Return sRGB-encoded colors (H, W, 3) of an image that is scaled to a size, not multiplied with its opacity."""
-    with _resized(use.image, size) as image:
-        if use.channel == "Color" and not image.is_float:
-            return _read_encoded(image)[..., :3]
-        pixels = read_linear_pixels(image)
+    if use.channel == "Color" and not use.image.is_float:
+        return _resize(_read_encoded(use.image)[..., :3], size)
+    pixels = read_linear_pixels(use.image)
     if use.image.is_float and use.image.alpha_mode not in INDEPENDENT_ALPHA:
         pixels = unpremultiply(pixels)
     colors = pixels[..., :3] if use.channel == "Color" else np.repeat(_pick(pixels, use.channel)[..., None], 3, axis=2)
-    return encode_signed_srgb(colors)
+    return encode_signed_srgb(_resize(colors, size))
 
 
 def _read_opacity(use: TextureUse, size: tuple[int, int]) -> np.ndarray:
     """Return the values (H, W) of a channel of an image that is scaled to a size."""
     if use.channel == "Alpha" and use.image.alpha_mode == "NONE":
         return np.ones(size[::-1], np.float32)
-    with _resized(use.image, size) as image:
-        return _pick(read_linear_pixels(image), use.channel)
+    return _resize(_pick(read_linear_pixels(use.image), use.channel)[..., None], size)[..., 0]
+
+
+def _resize(values: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return an image (H, W, C) enlarged to a size, by bilinear samples."""
+    if values.shape[1::-1] == size:
+        return values
+    columns, rows = ((np.arange(count) + 0.5) * old / count for count, old in zip(size, values.shape[1::-1], strict=True))
+    positions = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    return sample_bilinear(values, positions).reshape(size[1], size[0], values.shape[2])
 
 
 def _pick(pixels: np.ndarray, channel: str) -> np.ndarray:
@@ -108,20 +113,6 @@ def _pick(pixels: np.ndarray, channel: str) -> np.ndarray:
     if channel == "Color":
         return pixels[..., :3] @ LUMINANCE
     return pixels[..., 3 if channel == "Alpha" else CHANNELS.index(channel)]
-
-
-@contextmanager
-def _resized(image: bpy.types.Image, size: tuple[int, int]) -> Iterator[bpy.types.Image]:
-    """Yield an image with a size in pixels: `image` itself, or a copy that is removed afterwards."""
-    if tuple(image.size) == size:
-        yield image
-        return
-    copy = image.copy()
-    try:
-        copy.scale(*size)
-        yield copy
-    finally:
-        bpy.data.images.remove(copy)
 
 
 def _to_bytes(values: np.ndarray) -> np.ndarray:

@@ -153,7 +153,7 @@ def _describe_uvs(name: str, mesh: TexturedMesh, has_uv_map: bool) -> list[str]:
         return [f'"{name}" has no UV map; only its geometry counts.']
     remarks = []
     if mesh.uvs.min() < 0.0 or mesh.uvs.max() > 1.0:
-        remarks.append(f'The UV map of "{name}" leaves the image; the image is repeated there.')
+        remarks.append(f'The UV map of "{name}" leaves the image; the analysis repeats the image there.')
     areas = signed_areas(mesh.corner_uvs)
     if (areas == 0.0).any():
         remarks.append(f'{int((areas == 0.0).sum()):,} triangles of "{name}" have no area in the UV map.')
