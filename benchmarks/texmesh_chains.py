@@ -63,7 +63,7 @@ def open_textured(data: Path, name: str, seed: int) -> TexturedModel:
 def make_chain(data: Path, name: str, seed: int) -> LevelChain:
     """Return the levels of a model with default settings."""
     model = open_textured(data, name, seed)
-    return run_to_end(make_levels(model.mesh, model.textures, default_settings(), name))
+    return run_to_end(make_levels(model.mesh, model.textures, default_settings()))
 
 
 def paint(side: int, generator: np.random.Generator) -> np.ndarray:

@@ -32,6 +32,7 @@ from farfield.addon.core.errors import FileError, SettingsError
 from farfield.addon.core.files.file_access import check_readable, error_reason
 from farfield.addon.core.files.outputs import Input
 from farfield.addon.core.jobs.progress import Progress, StageClock, Steps, run_to_end, subprogress
+from farfield.addon.core.messages import format_count
 from farfield.addon.core.settings import add_flags, describe
 from farfield.addon.operators import following
 from farfield.addon.operators.clipbox import convert_to_mesh
@@ -84,7 +85,8 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
         write_output(out, engine, choose_terrain_origin(positions[-1], settings))
     if given.report is not None:
         command_line.write_report(given.report.absolute(), build_report(engine, clock))
-    summary = f'"{out.name}": {sum(box["triangles"] for box in engine.statistics()):,} triangles in {settings.boxes} boxes.'
+    triangles = sum(box["triangles"] for box in engine.statistics())
+    summary = f'"{out.name}": {format_count(triangles, "triangle")} in {format_count(settings.boxes, "box")}.'
     return " ".join([summary, *engine.warnings])
 
 

@@ -21,6 +21,7 @@ environment.import_farfield()
 import bpy
 
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
+from farfield.addon.core.messages import format_count
 from farfield.addon.core.packages.files import check_package_folder, read_package
 from farfield.addon.core.packages.package import PackageReport
 from farfield.addon.core.packages.settings import PackageSettings
@@ -113,7 +114,8 @@ def verify(given: Namespace) -> str:
     content = read_package(given.folder.absolute())
     manifest = content.manifest
     size = (len(content.mesh) + len(content.textures)) / 1e6
-    return f'"{manifest.name}" is complete: {len(manifest.levels)} levels, {manifest.increment_count:,} increments, {size:.2f} MB.'
+    levels, increments = format_count(len(manifest.levels), "level"), format_count(manifest.increment_count, "increment")
+    return f'"{manifest.name}" is complete: {levels}, {increments}, {size:.2f} MB.'
 
 
 def serve(given: Namespace, line: command_line.ProgressLine) -> str:

@@ -9,9 +9,12 @@ NOT_PRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # Control charac
 NOT_UNICODE = re.compile("[\ud800-\udfff]")  # Python decodes bytes that are not UTF-8 to these code points.
 
 
+PLURALS = {"vertex": "vertices", "patch": "patches", "box": "boxes"}  # that do not end in a mere s
+
+
 def format_count(number: int, noun: str) -> str:
     """Return `number` with its noun: "1 hole", "1,200 holes"."""
-    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+    return f"{number:,} {noun if number == 1 else PLURALS.get(noun, noun + 's')}"
 
 
 def format_bytes(count: int) -> str:

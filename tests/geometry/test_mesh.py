@@ -77,7 +77,7 @@ class TestInputChecks:
     def test_coordinates_that_are_not_finite(self, bad):
         mesh = sheet(2)
         mesh.vertices[4, 1] = bad
-        with pytest.raises(GeometryError, match=r'"Sail" has 1 vertices .* not finite'):
+        with pytest.raises(GeometryError, match=r'"Sail" has 1 vertex .* not finite'):
             drop_degenerate(mesh, "Sail")
 
     def test_an_invalid_unused_vertex_is_ignored(self):
@@ -106,7 +106,7 @@ class TestInputChecks:
         vertices = box().vertices.copy()
         drop_degenerate(TriangleMesh(1e36 * vertices, box().triangles))
         vertices[0] = [-3e38, 0.0, 0.0]
-        with pytest.raises(GeometryError, match=r'"Far" has 1 vertices with coordinates above 1e\+37; move them closer'):
+        with pytest.raises(GeometryError, match=r'"Far" has 1 vertex with coordinates above 1e\+37; move them closer'):
             drop_degenerate(TriangleMesh(vertices, box().triangles), "Far")
 
 

@@ -150,3 +150,15 @@ def test_presets_set_all_research_controls_and_no_others():
     assert found.noise == TexmeshSettings.noise and found.views == TexmeshSettings.views and found.number == 5
     bpy.ops.farfield.texmesh_preset(preset="default")
     assert properties.read(TexmeshSettings, group) == TexmeshSettings(number=5)
+
+
+def test_a_small_object_stays_as_it_is_beside_the_levels_of_others(ball, capsys):
+    bpy.ops.mesh.primitive_plane_add()
+    bpy.ops.object.select_all(action="SELECT")
+    assert bpy.ops.farfield.texmesh_levels(**SMALL) == {"FINISHED"}
+    levels = {found.source_name: found.levels for found in level_sets_in(bpy.context.scene)}
+    assert len(levels["Ball"]) > 1
+    (plane,) = levels["Plane"]
+    assert plane.dimensions == bpy.data.objects["Plane"].dimensions and len(plane.data.polygons) == 2
+    assert not plane.hide_render
+    assert '"Plane" has only 2 triangles and stays as it is.' in capsys.readouterr().out

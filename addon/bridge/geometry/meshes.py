@@ -10,6 +10,7 @@ from ...core.errors import GeometryError
 from ...core.geometry.mesh import MAX_COORDINATE, PointCloud, TriangleMesh, check_points, fingerprint
 from ...core.geometry.points import estimate_normals, splat_radii
 from ...core.geometry.transforms import frames_from_normals, transform_points
+from ...core.messages import format_count
 from .evaluated_mesh import EvaluatedMesh, MaterialKey, MeshAttribute, read_evaluated_mesh
 
 SURFACE_TYPES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
@@ -152,9 +153,8 @@ def read_point_cloud(point_object: bpy.types.Object) -> Source:
     cloud = PointCloud(points, _point_normals(mesh, matrix, points), _point_radii(mesh, matrix, points), _point_colors(mesh))
     is_too_large = np.isfinite(cloud.radii) & (np.abs(cloud.radii) > MAX_COORDINATE)
     if is_too_large.any():
-        raise GeometryError(
-            f'"{point_object.name}" has {int(is_too_large.sum())} points with a radius above {MAX_COORDINATE:g}; correct them.'
-        )
+        count = format_count(int(is_too_large.sum()), "point")
+        raise GeometryError(f'"{point_object.name}" has {count} with a radius above {MAX_COORDINATE:g}; correct them.')
     instance = SourceInstance(point_object.name, _build_discs(cloud, mesh.materials), np.eye(4), 0, object_uid=point_object.session_uid)
     return Source(None, [instance], point_object.name, [], matrix[:3, 3].copy(), cloud)
 

@@ -156,7 +156,7 @@ def _describe_uvs(name: str, mesh: TexturedMesh, has_uv_map: bool) -> list[str]:
         remarks.append(f'The UV map of "{name}" leaves the image; the analysis repeats the image there.')
     areas = signed_areas(mesh.corner_uvs)
     if (areas == 0.0).any():
-        remarks.append(f'{int((areas == 0.0).sum()):,} triangles of "{name}" have no area in the UV map.')
+        remarks.append(f'"{name}" has {format_count(int((areas == 0.0).sum()), "triangle")} without area in its UV map.')
     if (areas < 0.0).any():
-        remarks.append(f'{int((areas < 0.0).sum()):,} triangles of "{name}" are mirrored in the UV map, and stay so.')
+        remarks.append(f'"{name}" has {format_count(int((areas < 0.0).sum()), "triangle")} mirrored in its UV map, as its levels have.')
     return remarks

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.sparse import coo_matrix, csgraph
 
 from ..errors import GeometryError
+from ..messages import format_count
 
 MIN_HEIGHT = 2e-14  # Relative to a triangle's longest edge; below, its direction is lost in double precision.
 MAX_COORDINATE = 1e37  # leaves room for results that are larger than their source: single precision ends at 3.4e38
@@ -94,11 +95,11 @@ def check_points(points: np.ndarray, name: str) -> None:
     if len(points) == 0:
         raise GeometryError(f'"{name}" has no vertices; choose an object with a surface.')
     if not np.isfinite(points).all():
-        count = int((~np.isfinite(points).all(axis=1)).sum())
-        raise GeometryError(f'"{name}" has {count} vertices with coordinates that are not finite numbers; delete or repair them.')
+        count = format_count(int((~np.isfinite(points).all(axis=1)).sum()), "vertex")
+        raise GeometryError(f'"{name}" has {count} with coordinates that are not finite numbers; delete or repair them.')
     if np.abs(points).max() > MAX_COORDINATE:
-        count = int((np.abs(points).max(axis=1) > MAX_COORDINATE).sum())
-        raise GeometryError(f'"{name}" has {count} vertices with coordinates above {MAX_COORDINATE:g}; move them closer, or delete them.')
+        count = format_count(int((np.abs(points).max(axis=1) > MAX_COORDINATE).sum()), "vertex")
+        raise GeometryError(f'"{name}" has {count} with coordinates above {MAX_COORDINATE:g}; move them closer, or delete them.')
     if longest_side(points) <= 0.0:
         raise GeometryError(f'All vertices of "{name}" are at the same position; choose an object with a surface.')
 

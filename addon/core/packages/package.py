@@ -98,7 +98,7 @@ def build_package(
     analysis = analyze_scale_space(mesh, textures, settings)
     textures_steps = build_textures(sources, package_settings, settings.pixels_per_degree)
     scale_map, built = yield from subprogress(run_in_parallel([analysis, textures_steps]), 0.0, 0.4)
-    chain = yield from subprogress(make_levels(mesh, textures, settings, name, scale_map), 0.4, 0.75)
+    chain = yield from subprogress(make_levels(mesh, textures, settings, scale_map), 0.4, 0.75)
     tasks = [_measure(chain, materials, built, references, settings, package_settings), _encode_in_steps(encode, chain)]
     table, coded = yield from subprogress(run_in_parallel(tasks), 0.75, 0.98)
     yield Progress(0.98, "Writing")

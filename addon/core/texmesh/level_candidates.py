@@ -72,7 +72,10 @@ def make_candidates(mesh: TexturedMesh, scale_map: ScaleMap, ratios: Sequence[fl
     Raises:
         SettingsError: see `targets_of_ratios`.
     """
-    targets, scales = targets_of_ratios(mesh, scale_map, ratios) if ratios else choose_targets(mesh, scale_map)
+    if len(mesh.triangles) < MIN_TRIANGLES:
+        targets, scales = [], []
+    else:
+        targets, scales = targets_of_ratios(mesh, scale_map, ratios) if ratios else choose_targets(mesh, scale_map)
     is_optimized = settings.vertices == "optimized" and bool(signed_areas(mesh.corner_uvs).any())  # without UV area, nothing can be fitted
     tasks: list[Steps] = [_simplify(mesh, scale_map, targets, settings)]
     if is_optimized:

@@ -9,10 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..errors import GeometryError
 from ..imaging.mipmaps import Mipmaps, build_mipmaps
 from ..jobs.progress import Progress, Steps, subprogress
-from .level_candidates import MIN_TRIANGLES, Candidate, make_candidates, parse_ratios
+from .level_candidates import Candidate, make_candidates, parse_ratios
 from .level_choices import MIN_PIXELS, ComparedCandidates, choose_candidates, compare_candidates, count_bytes, view_levels
 from .perception.level_images import LevelImages
 from .perception.switch_distances import Switch, find_shown_levels, find_switches, open_images
@@ -86,21 +85,18 @@ def make_levels(
     mesh: TexturedMesh,
     textures: Sequence[np.ndarray | None],
     settings: TexmeshSettings,
-    name: str = "mesh",
     scale_map: ScaleMap | None = None,
 ) -> Steps[LevelChain]:
-    """Make levels of `mesh`.
+    """Make levels of `mesh`. With fewer than MIN_TRIANGLES triangles it is the only one.
 
     Args:
-        textures: per material an image (H, W, 3) float32, scene-linear, row 0 at the bottom, or None. name: for messages. scale_map: of an
-            analysis of the same mesh with the same settings, None to analyze it.
+        textures: per material an image (H, W, 3) float32, scene-linear, row 0 at the bottom, or None. scale_map: of an analysis of the same
+            mesh with the same settings, None to analyze it.
 
     Raises:
-        GeometryError: there is nothing to simplify.
+        GeometryError: see `analyze_scale_space`.
         SettingsError: the budget allows no level, or a ratio is none.
     """
-    if len(mesh.triangles) < MIN_TRIANGLES:
-        raise GeometryError(f'"{name}" has only {len(mesh.triangles)} triangles; levels need at least {MIN_TRIANGLES}.')
     ratios = parse_ratios(settings.ratios) if settings.levels == "ratios" else []
     if scale_map is None:
         scale_map = yield from subprogress(analyze_scale_space(mesh, textures, settings), 0.0, 0.35)

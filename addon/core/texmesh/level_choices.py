@@ -14,6 +14,7 @@ import numpy as np
 from ..errors import SettingsError
 from ..imaging.mipmaps import Mipmaps
 from ..jobs.progress import Steps
+from ..messages import format_count
 from .level_candidates import Candidate, Candidates
 from .perception.level_images import LevelImages
 from .perception.switch_distances import MIN_SWITCH_RATIO, Switch, SwitchCheck, find_switches, open_images
@@ -197,9 +198,8 @@ def choose_levels(options: Sequence[LevelOption], budget: LevelBudget) -> list[i
     fitting = [index for index, choice in enumerate(singles) if _fits(choice, budget)]
     if not fitting:
         smallest = min(options, key=lambda option: option.byte_count)
-        raise SettingsError(
-            f"The budget is less than the smallest level, {smallest.triangles} triangles and {smallest.byte_count} bytes; increase it."
-        )
+        triangles = format_count(smallest.triangles, "triangle")
+        raise SettingsError(f"The budget is less than the smallest level, {triangles} and {smallest.byte_count} bytes; increase it.")
     positive = [size for size in sizes if size > 0.0] or [1.0]
     logs = [math.log(max(size, positive[0] / RANGE_MARGIN)) for size in sizes]
     farthest = math.log(positive[-1] * RANGE_MARGIN)

@@ -18,6 +18,7 @@ from ...core.clipbox.settings import ClipboxSettings
 from ...core.errors import GeometryError
 from ...core.files.file_access import check_readable
 from ...core.jobs.progress import Progress, Steps, subprogress
+from ...core.messages import format_count
 from ..engine_cache import cache
 
 HEIGHT_PERCENTILES = 10, 90  # percentiles of the heights of vertices between which most ground has the color of grass
@@ -73,7 +74,8 @@ class TerrainJob:
         cache.store(self.terrain, self.engine)
         self.update = core_result
         triangles = sum(len(mesh.triangles) for mesh in core_result.meshes.values())
-        return " ".join([f'"{self.terrain.name}": {triangles:,} triangles in {settings.boxes} boxes.', *self.engine.warnings])
+        summary = f'"{self.terrain.name}": {format_count(triangles, "triangle")} in {format_count(settings.boxes, "box")}.'
+        return " ".join([summary, *self.engine.warnings])
 
 
 def prepare(settings: ClipboxSettings, viewer: np.ndarray, terrain: SceneTerrain | None = None) -> TerrainJob:

@@ -20,7 +20,7 @@ from .. import properties, start_job
 from ..properties import absolute_path
 from ..texmesh.job import describe_skipped
 from ..texmesh.operators import disabled_reason
-from ..texmesh.sources import read_sources, source_objects
+from ..texmesh.sources import check_sizes, describe_small, read_sources, source_objects
 
 FOLDER = {"name": "Folder", "description": "Folder for the package; files of an earlier one in it are replaced", "subtype": "DIR_PATH"}
 
@@ -62,7 +62,7 @@ class PackageJob:
         """Return the message for the user."""
         yield Progress(1.0, "Exported")
         sentences = [report.describe() for report in core_result]
-        sentences += [sentence for source in self.sources for sentence in source.remarks]
+        sentences += [sentence for source in self.sources for sentence in (describe_small(source), *source.remarks) if sentence]
         return " ".join([*sentences, *describe_skipped(self.skipped)])
 
 
@@ -112,6 +112,7 @@ def prepare_packages(
     The vertices of levels are those of the original, whatever `settings` say, so that levels can be sent one after the other.
     """
     sources, skipped = read_sources(context, objects, read_package_source)
+    check_sizes(sources)
     settings = replace(settings, vertices="original")
     return PackageJob(sources, settings, package_settings, folder, skipped)
 

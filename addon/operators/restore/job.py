@@ -16,6 +16,7 @@ from ...core.errors import ImageError
 from ...core.files.atomic_write import atomic_folder
 from ...core.files.filenames import safe_filename
 from ...core.jobs.progress import Progress, Steps, subprogress
+from ...core.messages import format_count
 from ...core.restore.restoration import restore
 from ...core.restore.settings import MaskSettings, RestoreSettings
 from .. import image_editors
@@ -90,7 +91,7 @@ class RestoreJob:
         skipped = image_users.replace_image(source, image) if self.masks.replace_in_materials else []
         image.use_fake_user = image.users == 0
         image_editors.show_image(self.editor, image)
-        message = f'Restored {missing_count:,} pixels of "{source.name}" as "{image.name}".'
+        message = f'Restored {format_count(missing_count, "pixel")} of "{source.name}" as "{image.name}".'
         if skipped:
             names = ", ".join(f'"{name}"' for name in dict.fromkeys(skipped))
             message += f" Not replaced in linked or overridden data: {names}."

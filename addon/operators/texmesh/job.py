@@ -23,7 +23,7 @@ from ...core.texmesh.scale_space.analysis import analyze_scale_space
 from ...core.texmesh.scale_space.features import ScaleMap
 from ...core.texmesh.settings import AnalysisSettings, SceneSettings, TexmeshSettings
 from .rebaking import create_images, read_textures, rebake_chain
-from .sources import read_sources
+from .sources import check_sizes, describe_small, read_sources
 
 REBAKE_FRACTION = 0.3  # This part of the progress of an object is rebaking.
 
@@ -98,7 +98,7 @@ class LevelsJob:
         ranges = zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True)
         for source, textures, (start, stop) in zip(self.sources, self.rebake_textures, ranges, strict=True):
             baking = stop if textures is None else stop - REBAKE_FRACTION * (stop - start)
-            chain = yield from subprogress(make_levels(source.mesh, source.textures, self.settings, source.name), start, baking)
+            chain = yield from subprogress(make_levels(source.mesh, source.textures, self.settings), start, baking)
             steps = None if textures is None else rebake_chain(source, chain, textures)
             chains.append((chain, None if steps is None else (yield from subprogress(steps, baking, stop))))
         return chains
@@ -151,7 +151,8 @@ class LevelsJob:
         self.chains[levels.collection.name] = chain
         _show(levels, scene, self.scene_settings)
         counts = ", ".join(f"{len(level.mesh.triangles):,}" for level in chain.levels)
-        sentences = [f'"{item.name}" has {format_count(len(chain.levels), "level")} with {counts} triangles.']
+        has_levels = f'"{item.name}" has {format_count(len(chain.levels), "level")} with {counts} triangles.'
+        sentences = [describe_small(source) or has_levels]
         details = dict.fromkeys(sentence for level in chain.levels for sentence in (level.constraint,) if sentence)
         of_images = [] if images is None else images.remarks
         return [*sentences, *of_images, *filter(None, [chain.scale_map.losses]), *source.remarks, *details]
@@ -195,6 +196,7 @@ def prepare_levels(
 ) -> LevelsJob:
     """Return the job that makes levels of `objects`. Raises FarfieldError if none can be read."""
     sources, skipped = read_sources(context, objects)
+    check_sizes(sources)
     textures = read_textures(sources, settings)
     return LevelsJob(sources, settings, scene_settings, context.scene.session_uid, skipped, textures)
 

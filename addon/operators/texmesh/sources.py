@@ -1,7 +1,7 @@
 """Which objects levels are made from."""
 
 from collections.abc import Callable, Sequence
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import bpy
 
@@ -10,8 +10,18 @@ from ...bridge.objects import temporarily_visible
 from ...bridge.texmesh.level_sets import find_level_set
 from ...bridge.texmesh.sources import read_textured_source
 from ...core.errors import FarfieldError, GeometryError
+from ...core.messages import format_count
+from ...core.texmesh.level_candidates import MIN_TRIANGLES
+from ...core.texmesh.textured_mesh import TexturedMesh
 
 Source = TypeVar("Source")
+
+
+class MeshSource(Protocol):
+    """A named mesh."""
+
+    name: str
+    mesh: TexturedMesh
 
 
 def source_objects(context: bpy.types.Context) -> list[bpy.types.Object]:
@@ -63,3 +73,17 @@ def read_sources(
         reasons = "; ".join([*skipped, *(str(error).removesuffix(".") for error in errors)])
         raise GeometryError(f"Nothing to make levels from: {reasons or 'no object is selected'}. Select a mesh with a texture.")
     return sources, [*skipped, *(str(error).removesuffix(".") for error in errors)]
+
+
+def check_sizes(sources: Sequence[MeshSource]) -> None:
+    """Raise GeometryError if none of the meshes has enough triangles for levels."""
+    if all(len(source.mesh.triangles) < MIN_TRIANGLES for source in sources):
+        source = max(sources, key=lambda source: len(source.mesh.triangles))
+        count = format_count(len(source.mesh.triangles), "triangle")
+        raise GeometryError(f'"{source.name}" has only {count}; levels need at least {MIN_TRIANGLES}.')
+
+
+def describe_small(source: MeshSource) -> str:
+    """Return a sentence about a mesh that is its only level, "" for others."""
+    count = len(source.mesh.triangles)
+    return f'"{source.name}" has only {format_count(count, "triangle")} and stays as it is.' if count < MIN_TRIANGLES else ""
