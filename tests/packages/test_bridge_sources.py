@@ -85,4 +85,32 @@ def test_meshes_have_the_size_of_the_world_and_faces_look_outside(scale):
 def test_transparency_is_said():
     ball = textured_ball()
     ball.data.materials[0].node_tree.nodes["Principled BSDF"].inputs["Alpha"].default_value = 0.5
-    assert any("opaque" in remark for remark in read_package_source(ball, bpy.context.evaluated_depsgraph_get()).remarks)
+    remarks = read_package_source(ball, bpy.context.evaluated_depsgraph_get()).remarks
+    assert 'The package lacks transparency of "Paint".' in remarks
+
+
+def test_tints_and_mappings_are_part_of_the_package_and_other_things_are_named():
+    ball = textured_ball()
+    material = ball.data.materials[0]
+    tree, image = material.node_tree, material.node_tree.nodes["Image Texture"]
+    before = read_package_source(ball, bpy.context.evaluated_depsgraph_get())
+    tint, mapping, coordinates, colors, both = (
+        tree.nodes.new(f"ShaderNode{kind}") for kind in ("MixRGB", "Mapping", "TexCoord", "VertexColor", "MixRGB")
+    )
+    for node in (tint, both):
+        node.blend_type = "MULTIPLY"
+        node.inputs[0].default_value = 1.0
+    tint.inputs[2].default_value = (0.5, 0.25, 1.0, 1.0)
+    mapping.inputs["Scale"].default_value, mapping.inputs["Location"].default_value = (4.0, 2.0, 1.0), (0.5, -1.0, 0.0)
+    tree.links.new(coordinates.outputs["UV"], mapping.inputs["Vector"])
+    tree.links.new(mapping.outputs["Vector"], image.inputs["Vector"])
+    tree.links.new(image.outputs["Color"], tint.inputs[1])
+    tree.links.new(tint.outputs[0], both.inputs[1])
+    tree.links.new(colors.outputs["Color"], both.inputs[2])
+    tree.links.new(both.outputs[0], tree.nodes["Principled BSDF"].inputs["Base Color"])
+    image.extension = "EXTEND"
+    after = read_package_source(ball, bpy.context.evaluated_depsgraph_get())
+    assert after.materials[0].base_color == pytest.approx((0.5, 0.25, 1.0, 1.0))
+    assert set(after.materials[0].images) == {"base_color"}
+    assert np.allclose(after.mesh.uvs, before.mesh.uvs * [4.0, 2.0] + [0.5, -1.0])
+    assert 'The package lacks vertex colors, the wrapping of its image of "Paint".' in after.remarks

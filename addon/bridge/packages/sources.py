@@ -50,7 +50,7 @@ def read_package_source(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) 
     source = read_textured_source(item, depsgraph, has_attributes=False, read_image=images.read_analyzed)
     found = [None if key is None else find_material(key) for key in source.evaluated.materials or (None,)]
     surfaces = [None if material is None else read_surface(material) for material in found]
-    materials = tuple(read_material(*pair, images) for pair in zip(found, surfaces, strict=True))
+    materials = tuple(read_material(material, images) for material in found)
     unread = {
         material.name: _list_unread(surface, source) for material, surface in zip(found, surfaces, strict=True) if material is not None
     }
@@ -77,7 +77,7 @@ def _list_unread(surface: MaterialSurface, source: TexturedSource) -> tuple[str,
         source.mesh.uvs.min() < 0.0 or source.mesh.uvs.max() > 1.0 or (color is not None and not np.array_equal(color.matrix, np.eye(2, 3)))
     )
     labels = [label for label in unread if label not in STORED_INPUTS]
-    labels += [] if surface.is_opaque else ["transparent parts"]
+    labels += [] if surface.is_opaque else ["transparency"]
     labels += ["vertex colors"] if surface.color.attributes else []
     labels += ["the wrapping of its image"] if color is not None and leaves and color.wrap != ("repeat", "repeat") else []
     return tuple(dict.fromkeys(labels))
@@ -93,14 +93,15 @@ def _to_world(mesh: TexturedMesh, item: bpy.types.Object) -> TexturedMesh:
     return replace(turned, **backwards)
 
 
-def read_material(material: bpy.types.Material | None, surface: MaterialSurface | None, images: PackageImages) -> MaterialSource:
-    """Return the base color, and the images of the shader nearest to the output of a material with a `surface`.
+def read_material(material: bpy.types.Material | None, images: PackageImages) -> MaterialSource:
+    """Return the base color, and the images of the shader nearest to the output of a material.
 
     Raises:
         FileError: an image has no pixels, for instance because its file is missing.
     """
     if material is None:
         return MaterialSource("", (0.8, 0.8, 0.8, 1.0), False, {})
+    surface = read_surface(material)
     color, _, _ = choose_textures(surface)
     found = {} if color is None else {"base_color": images.read_colors(color.image)}
     if surface.shader is not None:
