@@ -162,3 +162,14 @@ def test_a_small_object_stays_as_it_is_beside_the_levels_of_others(ball, capsys)
     assert plane.dimensions == bpy.data.objects["Plane"].dimensions and len(plane.data.polygons) == 2
     assert not plane.hide_render
     assert '"Plane" has only 2 triangles and stays as it is.' in capsys.readouterr().out
+
+
+def test_levels_of_a_mesh_far_from_its_origin_are_at_its_place(ball, capsys):
+    offset = np.array([500_000.0, 4_500_000.0, 0.0])
+    positions = np.array([tuple(vertex.co) for vertex in ball.data.vertices]) * 15.0 + offset
+    ball.data.vertices.foreach_set("co", positions.astype(np.float32).ravel())
+    ball.data.update()
+    stored = {tuple(vertex.co) for vertex in ball.data.vertices}
+    levels = make()
+    assert all(tuple(vertex.co) in stored for level in levels for vertex in level.data.vertices)
+    assert 'The vertices of "Ball" are so far from its origin that single precision rounds them to 0.5;' in capsys.readouterr().out

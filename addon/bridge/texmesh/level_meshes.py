@@ -21,7 +21,7 @@ def create_level_mesh(name: str, source: TexturedSource, level: TexturedMesh, sc
     source. All other attributes are those of the source that `level.sources` refers to: those of faces at the first corner.
     """
     mesh = bpy.data.meshes.new(name)
-    write_triangles(mesh, level.vertices, level.triangles)
+    write_triangles(mesh, level.vertices + source.origin if source.origin.any() else level.vertices, level.triangles)
     if not len(level.triangles):
         return mesh
     evaluated = source.evaluated

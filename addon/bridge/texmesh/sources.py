@@ -8,6 +8,7 @@ import numpy as np
 
 from ...core.geometry.edges import find_edges
 from ...core.geometry.mesh import TriangleMesh, face_areas_and_normals
+from ...core.geometry.precision import choose_local_origin, describe_rounding
 from ...core.geometry.transforms import signed_areas
 from ...core.messages import format_count
 from ...core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
@@ -23,7 +24,8 @@ class TexturedSource:
 
     Attributes:
         name, object_uid: of the object.
-        mesh: in object space.
+        mesh: in object space, relative to `origin`.
+        origin: (3,), zero unless the mesh is far from the origin of the object.
         evaluated: what `mesh.sources` refers to: row 3 t + c is corner c of its triangle t.
         uv_map: the UV map that the levels get.
         attributes: names and widths of those of the mesh, in their order: normals of smooth faces, and color attributes at corners.
@@ -34,6 +36,7 @@ class TexturedSource:
     name: str
     object_uid: int
     mesh: TexturedMesh
+    origin: np.ndarray
     evaluated: EvaluatedMesh
     uv_map: str
     attributes: tuple[tuple[str, int], ...]
@@ -64,16 +67,18 @@ def read_textured_source(
     count = len(evaluated.triangles)
     corner_uvs = evaluated.at_corners(uv_map, np.arange(count)) if uv_map else np.zeros((count, 3, 2), np.float32)
     values, attributes = _read_corner_values(evaluated) if has_attributes else (None, ())
-    mesh = TriangleMesh(evaluated.vertices.astype(np.float64), evaluated.triangles, evaluated.material_indices)
+    origin = choose_local_origin(evaluated.vertices)
+    mesh = TriangleMesh(evaluated.vertices - origin, evaluated.triangles, evaluated.material_indices)
     textured = build_textured_mesh(mesh, corner_uvs, values, item.name)
     remarks = [
         *remarks,
         *([f'The levels of "{item.name}" are one mesh, joined from {mesh_count:,} instances.'] if mesh_count > 1 else []),
+        *filter(None, [describe_rounding(item.name, evaluated.vertices, evaluated.triangles)]),
         *_describe_evaluation(item),
         *_describe_edges(item.name, textured),
         *_describe_uvs(item.name, textured, bool(uv_map)),
     ]
-    return TexturedSource(item.name, item.session_uid, textured, evaluated, uv_map, attributes, textures, tuple(remarks))
+    return TexturedSource(item.name, item.session_uid, textured, origin, evaluated, uv_map, attributes, textures, tuple(remarks))
 
 
 def _read_textures(

@@ -17,6 +17,7 @@ from ...core.billboards.build import build_cloud
 from ...core.billboards.cloud import Cloud
 from ...core.billboards.settings import BillboardSettings, BuildOptions
 from ...core.errors import GeometryError
+from ...core.geometry.precision import describe_rounding
 from ...core.jobs.progress import Progress, Steps, subprogress
 from .sources import linked_sources_message, read_sources
 
@@ -131,7 +132,9 @@ class BillboardJob:
         linked = f" {linked_sources_message(self.linked_sources)}" if self.linked_sources else ""
         hidden = f" Hidden: {', '.join(self.hidden_clouds)}." if self.hidden_clouds else ""
         skipped = f" Skipped: {'; '.join(self.skipped)}." if self.skipped else ""
-        return f"Built {', '.join(figures)}.{hidden}{linked}{skipped}"
+        read = {(instance.name, id(instance.mesh)): instance for source in self.sources for instance in source.instances}.values()
+        rounded = "".join(f" {text}" for item in read if (text := describe_rounding(item.name, item.mesh.vertices, item.mesh.triangles)))
+        return f"Built {', '.join(figures)}.{hidden}{linked}{rounded}{skipped}"
 
 
 def prepare_job(

@@ -8,11 +8,13 @@ import bpy
 import numpy as np
 
 from ...bridge.cameras import read_camera_projection
+from ...bridge.geometry.mesh_arrays import read_positions
 from ...bridge.geometry.meshes import SourceInstance, concatenate_in_world_space, read_instances
 from ...bridge.unwrap import uv_maps
 from ...core.errors import GeometryError, SettingsError
 from ...core.geometry.cameras import CameraProjection
 from ...core.geometry.mesh import TriangleMesh
+from ...core.geometry.precision import describe_rounding
 from ...core.jobs.progress import Progress, Steps, subprogress
 from ...core.messages import format_count
 from ...core.unwrap.importance import compute_importance, from_direction
@@ -30,6 +32,7 @@ class UnwrapJob:
         occluders: Surfaces that may hide a target.
         settings: Settings of the unwrap.
         skipped: Names of other objects with the reason.
+        remarks: Sentences about the targets.
         results: Targets and UV maps, once the job is done.
     """
 
@@ -40,6 +43,7 @@ class UnwrapJob:
     occluders: list[SourceInstance]
     settings: UnwrapSettings
     skipped: list[str]
+    remarks: list[str] = field(default_factory=list)
     results: list[tuple[uv_maps.UvTarget, UnwrapResult]] = field(default_factory=list)
 
     def core_steps(self) -> Steps[list[UnwrapResult]]:
@@ -90,7 +94,7 @@ class UnwrapJob:
             for target, result in self.results
         ]
         skipped = f" Skipped: {'; '.join(self.skipped)}." if self.skipped else ""
-        return f"Unwrapped {', '.join(summaries)}.{skipped}"
+        return " ".join([f"Unwrapped {', '.join(summaries)}.", *self.remarks]) + skipped
 
 
 def prepare(context: bpy.types.Context, objects: Sequence[bpy.types.Object], settings: UnwrapSettings) -> UnwrapJob:
@@ -103,7 +107,7 @@ def prepare(context: bpy.types.Context, objects: Sequence[bpy.types.Object], set
     cameras = _read_cameras(context, settings)
     if settings.importance in ("direction", "gradual"):
         from_direction(np.zeros((0, 3)), np.array(settings.direction))  # Reports an invalid direction early.
-    targets, skipped, meshes, errors = [], [], set(), []
+    targets, skipped, meshes, errors, remarks = [], [], set(), [], []
     for item in objects:
         reason = uv_maps.skip_reason(item, settings.uv_map)
         if reason:
@@ -114,6 +118,7 @@ def prepare(context: bpy.types.Context, objects: Sequence[bpy.types.Object], set
                 target = uv_maps.read_uv_target(item, settings.vertex_group if settings.importance == "vertex_group" else None)
                 check_surface(target.mesh, item.name)
                 targets.append(target)
+                remarks.append(describe_rounding(item.name, read_positions(item.data), target.mesh.triangles))
             except GeometryError as error:
                 errors.append(error)
     if not targets:
@@ -122,7 +127,7 @@ def prepare(context: bpy.types.Context, objects: Sequence[bpy.types.Object], set
         reasons = "; ".join([*skipped, *_reasons(errors)])
         raise GeometryError(f"Nothing to unwrap: {reasons or 'no object is selected'}. Select a local mesh object.")
     skipped += _reasons(errors)
-    return UnwrapJob(targets, cameras, _read_occluders(context) if cameras else [], settings, skipped)
+    return UnwrapJob(targets, cameras, _read_occluders(context) if cameras else [], settings, skipped, list(filter(None, remarks)))
 
 
 def _read_cameras(context: bpy.types.Context, settings: UnwrapSettings) -> list[CameraProjection]:

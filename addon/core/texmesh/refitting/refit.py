@@ -154,7 +154,8 @@ def _linearize(state: LevelState, directions: np.ndarray | None, damping: float)
     """Return the cost around a level, with smaller weights of samples that count too much."""
     limit = TUNING.max_sample_fraction * state.costs.sum()
     if state.costs.max(initial=0.0) > limit:
-        weights = state.samples.weights * np.minimum(limit / np.maximum(state.costs, np.finfo(float).tiny), 1.0)
+        factors = np.divide(limit, state.costs, out=np.ones(len(state.costs)), where=state.costs > limit)
+        weights = state.samples.weights * factors
         state = replace(state, samples=replace(state.samples, weights=weights))
     return Linearization(state, compute_moments(state), directions, damping)
 
