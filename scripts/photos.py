@@ -129,6 +129,7 @@ def merge_files(given: Namespace, settings: PhotosSettings, texture: Path, scrat
         found = read_camera_file(given.cameras.absolute(), size_reader(images))
     with clock.stage("mesh"):
         objects, origin = read_objects(given.input.absolute(), given.files)
+        skipped = scene_files.describe_unread()
     cameras = found.cameras if origin is None else [camera.relative_to(origin) for camera in found.cameras]
     with clock.stage("unwrap"):
         unwrapped = unwrap_missing(objects, line)
@@ -174,7 +175,8 @@ def merge_files(given: Namespace, settings: PhotosSettings, texture: Path, scrat
     summary = f"Merged {format_count(len(cameras), 'photograph')} into {texture.name}; {holes:.1%} of the surface is in no photograph."
     summary = " ".join([summary, *filter(None, notes)])
     count = sum(each["problem"] is None for each in refined)
-    return f"Refined {count} of {format_count(len(refined), 'camera')}. {summary}" if refined else summary
+    summary = f"Refined {count} of {format_count(len(refined), 'camera')}. {summary}" if refined else summary
+    return f"{summary} Skipped: {'; '.join(skipped)}." if skipped else summary
 
 
 def read_photographs(given: Namespace, cameras: list[PhotoCamera], images: PhotoFolder, scratch: Scratch) -> tuple[list[Photograph], str]:

@@ -88,6 +88,12 @@ def describe_missing() -> list[str]:
     return [f'{item.name} (the library "{item.library.filepath}" is missing)' for item in missing]
 
 
+def describe_unread() -> list[str]:
+    """Return the names of what a script that works on meshes ignores although it shows surfaces, with the reason."""
+    instances = [item for item in bpy.context.scene.objects if is_collection_instance(item) and not item.hide_render]
+    return [*(f"{item.name} (an instance of a collection; make it real)" for item in instances), *describe_missing()]
+
+
 def _explain_absence() -> str:
     """Return why a scene has no mesh, as the end of a sentence."""
     missing = describe_missing()

@@ -7,6 +7,7 @@ from pathlib import Path
 import bpy
 import pytest
 
+from farfield.addon.bridge.geometry import meshes
 from farfield.addon.core.errors import FileError, GeometryError
 from farfield.addon.core.files.outputs import Output, check_outputs
 from lib import scene_files
@@ -103,13 +104,13 @@ def test_importers_print_nothing_but_the_sentence(tmp_path, capfd):
 
 def test_files_without_anything_to_render(tmp_path):
     with pytest.raises(GeometryError, match="no mesh"):
-        scene_files.objects_in_renders([], tmp_path / "a.obj")
+        scene_files.objects_in_renders(tmp_path / "a.obj")
     bpy.ops.mesh.primitive_cube_add()
     cube = bpy.context.object
-    assert scene_files.objects_in_renders([cube], tmp_path) == [cube]
+    assert scene_files.objects_in_renders(tmp_path) == [cube]
     cube.hide_render = True
     with pytest.raises(GeometryError, match=r"disabled in renders \(Cube\)"):
-        scene_files.objects_in_renders([cube], tmp_path)
+        scene_files.objects_in_renders(tmp_path)
 
 
 def test_a_saved_scene_adds_no_library(tmp_path):
@@ -134,3 +135,50 @@ def test_no_python_of_a_scene_runs(tmp_path):
     assert not marker.exists()
     bpy.ops.wm.open_mainfile(filepath=str(path), use_scripts=True)
     assert marker.exists(), "the text would have run"
+
+
+def add_instance(name: str, collection: bpy.types.Collection) -> bpy.types.Object:
+    item = bpy.data.objects.new(name, None)
+    item.instance_type, item.instance_collection = "COLLECTION", collection
+    bpy.context.scene.collection.objects.link(item)
+    return item
+
+
+def test_instances_of_collections_are_surfaces_but_no_meshes():
+    collection = bpy.data.collections.new("Parts")
+    collection.objects.link(bpy.data.objects.new("Part", bpy.data.meshes.new("Part")))
+    item = add_instance("Shown", collection)
+    assert scene_files.objects_in_renders(None) == [item]
+    with pytest.raises(GeometryError, match=r"There is no mesh in the scene, only instances of collections \(Shown\); make them real"):
+        scene_files.objects_in_renders(None, scene_files.is_mesh)
+    assert scene_files.describe_unread() == ["Shown (an instance of a collection; make it real)"]
+
+
+def test_a_missing_library_is_named(tmp_path):
+    bpy.ops.mesh.primitive_cube_add()
+    collection = bpy.data.collections.new("Parts")
+    bpy.context.scene.collection.children.link(collection)
+    collection.objects.link(bpy.context.object)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "parts.blend"))
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    with bpy.data.libraries.load(str(tmp_path / "parts.blend"), link=True) as (source, target):
+        target.objects, target.collections = source.objects, source.collections
+    bpy.context.scene.collection.objects.link(target.objects[0])
+    item = add_instance("Shown", target.collections[0])
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    (tmp_path / "parts.blend").unlink()
+    scene_files.open_scene(tmp_path / "scene.blend")
+    item = bpy.data.objects["Shown"]
+    assert meshes.explain_no_faces(item).startswith('no faces, because the library "')
+    assert [text.split(" (")[0] for text in scene_files.describe_missing()] == ["Cube", "Parts"]
+    with pytest.raises(GeometryError, match=r"There is no mesh in the scene: Cube \(the library .* is missing\)"):
+        scene_files.objects_in_renders(None, scene_files.is_mesh)
+
+
+def test_shapes_of_bones_are_no_meshes_of_the_file():
+    bpy.ops.mesh.primitive_ico_sphere_add()
+    shape = bpy.context.object
+    bpy.ops.object.armature_add()
+    bpy.context.object.pose.bones[0].custom_shape = shape
+    with pytest.raises(GeometryError, match="There is no mesh in the scene; give a file"):
+        scene_files.objects_in_renders(None)

@@ -2,7 +2,7 @@
 
 import bpy
 
-from ...bridge.geometry.meshes import SourceInstance, describe_type, read_instances
+from ...bridge.geometry.meshes import SourceInstance, describe_type, is_collection_instance, read_instances
 from ...bridge.photos.photo_images import PhotoSource, open_background
 from ...bridge.photos.scene_cameras import find_background, has_photograph, read_photo_camera
 from ...core.errors import GeometryError, SettingsError
@@ -60,11 +60,11 @@ def read_photographs(sources: list[PhotoSource], scratch: Scratch) -> Steps[list
 
 
 def read_targets(context: bpy.types.Context) -> tuple[list[bpy.types.Object], list[SourceInstance], list[str]]:
-    """Return the selected meshes that can get a texture, their surfaces, and the other selected objects but cameras and Empties, with the
-    reason. Raises GeometryError if there is no such mesh, or it has no faces."""
+    """Return the selected meshes that can get a texture, their surfaces, and the other selected objects with the reason: all but cameras
+    and plain Empties. Raises GeometryError if there is no such mesh, or it has no faces."""
     targets, skipped = [], []
     for item in context.selected_objects:
-        if item.type in {"CAMERA", "EMPTY"}:
+        if item.type in {"CAMERA", "EMPTY"} and not is_collection_instance(item):
             continue
         reason = _skip_reason(item)
         if reason:
@@ -80,6 +80,8 @@ def read_targets(context: bpy.types.Context) -> tuple[list[bpy.types.Object], li
 
 
 def _skip_reason(item: bpy.types.Object) -> str:
+    if is_collection_instance(item):
+        return "an instance of a collection; make it real"
     if item.type != "MESH":
         return f"{describe_type(item)} cannot be textured; convert it to a mesh"
     if not item.data.is_editable or not item.is_editable:
