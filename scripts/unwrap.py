@@ -70,27 +70,31 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     summary = run_to_end(run_job(job), line.show)
     line.clear()
     with clock.stage("write"):
-        write_output(out)
+        lacking = write_output(out)
         if given.image is not None:
             first_target, _ = job.results[0]
             with atomic_file(given.image.absolute()) as temporary:
                 save_stretch_image(bpy.data.objects[first_target.object_name], temporary, STRETCH_IMAGE_RESOLUTION)
     if given.report is not None:
         command_line.write_report(given.report.absolute(), build_report(job, clock))
-    return summary
+    return summary + lacking
 
 
-def write_output(out: Path) -> None:
-    """Write the scene, or all its meshes, depending on the extension of `out`."""
+def write_output(out: Path) -> str:
+    """Write the scene, or all its meshes, depending on the extension of `out`. Return a sentence about what it lacks, or nothing."""
     extension = out.suffix.lower()
     if extension == ".blend":
         scene_files.save_scene(out)
-        return
+        return ""
     with atomic_file(out) as temporary, mute_stderr():  # the exporters print the tracebacks of errors that they also raise
         if extension == ".obj":
             scene_files.save_obj(temporary)
         else:
             bpy.ops.export_scene.gltf(filepath=str(temporary), export_format="GLB", export_apply=False)
+    meshes = [item for item in bpy.context.scene.objects if item.type == "MESH"]
+    lacking = ["materials"] if extension == ".obj" and any(item.data.materials for item in meshes) else []
+    lacking += ["the effect of modifiers"] if any(modifier.show_render for item in meshes for modifier in item.modifiers) else []
+    return f" The {extension} lacks {' and '.join(lacking)}." if lacking else ""
 
 
 def build_report(job: UnwrapJob, clock: StageClock) -> dict[str, Any]:

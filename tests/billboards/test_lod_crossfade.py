@@ -229,6 +229,27 @@ def test_collection_instances_get_one_proxy_per_object(scene):
     assert instance.hide_render
 
 
+def test_proxies_of_sheared_objects_are_where_their_sources_are(scene):
+    box, parent = blender_scenes.box("Box", emissive(BLUE)), bpy.data.objects.new("Parent", None)
+    scene.collection.objects.link(parent)
+    box.parent, parent.scale, box.rotation_euler, box.location = parent, (3.0, 1.0, -1.0), (0.3, 0.8, 0.9), (1.0, 2.0, 3.0)
+    bpy.context.view_layer.update()
+    collection = bpy.data.collections.new("Cloud")
+    scene.collection.children.link(collection)
+    expected = blender_scenes.read_objects(box).mesh
+    source_objects.add_source_proxies([box], collection, bpy.context.evaluated_depsgraph_get())
+    bpy.context.view_layer.update()
+    found = blender_scenes.read_objects(*source_objects.find_source_proxies(collection)).mesh
+    assert np.allclose(np.sort(found.corners.mean(axis=1), axis=0), np.sort(expected.corners.mean(axis=1), axis=0), atol=1e-5)
+    assert signed_volume(found) == pytest.approx(signed_volume(expected)) and signed_volume(found) > 0.0
+
+
+def signed_volume(mesh) -> float:
+    """Volume of a closed mesh, positive when it is wound outwards."""
+    a, b, c = np.moveaxis(mesh.corners, 1, 0)
+    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
+
+
 def test_cloud_without_source_fades_between_its_levels(scene):
     box, cloud = build_cloud(blender_scenes.box(), textures=False)
     bpy.data.objects.remove(box)

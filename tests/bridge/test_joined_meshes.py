@@ -1,11 +1,12 @@
 """The mesh of an object joined with its instances is the surface that the object shows."""
 
 import bpy
+import mathutils
 import numpy as np
 import pytest
 
 from bridge import blender_scenes
-from farfield.addon.bridge.geometry.joined_meshes import read_joined_mesh
+from farfield.addon.bridge.geometry.joined_meshes import find_frame, read_joined_mesh
 from farfield.addon.bridge.geometry.meshes import concatenate_in_world_space, read_instances
 from farfield.addon.bridge.texmesh.sources import read_textured_source
 from farfield.addon.core.errors import GeometryError
@@ -105,6 +106,19 @@ def test_an_object_without_instances_is_read_as_it_is():
     joined, count = read_joined_mesh(box, depsgraph)
     assert count == 1
     assert np.array_equal(joined.vertices, read_instances([box], depsgraph)[0].mesh.vertices)
+
+
+def test_a_sheared_object_is_read_relative_to_its_position():
+    box, parent = blender_scenes.box(), bpy.data.objects.new("Parent", None)
+    bpy.context.scene.collection.objects.link(parent)
+    box.parent, parent.scale, box.rotation_euler = parent, (3.0, 1.0, -1.0), (0.3, 0.8, 0.9)
+    depsgraph = place(box)
+    (shown,) = read_instances([box], depsgraph)
+    joined, count = read_joined_mesh(box, depsgraph)
+    assert count == 1
+    assert np.allclose(joined.vertices, transform_points(shown.matrix, shown.mesh.vertices) - shown.matrix[:3, 3], atol=1e-5)
+    assert np.array_equal(joined.triangles, shown.mesh.triangles[:, ::-1] if shown.is_mirrored else shown.mesh.triangles)
+    assert np.allclose(find_frame(shown.matrix), np.array(mathutils.Matrix.Translation(box.matrix_world.translation)))
 
 
 def test_a_scale_of_zero_is_refused_by_name():

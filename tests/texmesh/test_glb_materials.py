@@ -313,3 +313,19 @@ def check_imported(item: bpy.types.Object, expected: GlbMaterial, uvs: np.ndarra
     shown = use.read_colors(mesh)[0]
     assert np.allclose(shown, colors[corners][:, : shown.shape[1]], atol=0.005)
     assert shown.shape[1] == (3 if expected.alpha_mode == OPAQUE else 4)
+
+
+def test_uv_maps_and_colors_that_no_material_uses_are_named():
+    mesh = bpy.data.meshes.new("Leaf")
+    mesh.from_pydata([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)], [], [(0, 1, 2)])
+    for name in ("First", "Second", "Third"):
+        mesh.uv_layers.new(name=name)
+    for name in ("Shown", "Paint"):
+        mesh.color_attributes.new(name, "FLOAT_COLOR", "CORNER")
+    nodes = Nodes(checker_image())
+    nodes.tree.links.new(nodes.add("UVMap", uv_map="Second"), nodes.image.inputs["Vector"])
+    color = nodes.add("VertexColor", layer_name="Shown")
+    nodes.link(nodes.add("Mix", 1.0, nodes.image.outputs["Color"], color, data_type="RGBA", blend_type="MULTIPLY"), "Base Color")
+    _, use, materials = nodes.read()
+    materials.note_attributes("Tree", mesh, [use])
+    assert materials.unread == {"Tree": ('the UV map "First"', 'the UV map "Third"', 'the color attribute "Paint"')}

@@ -130,3 +130,17 @@ def test_files_without_a_visible_mesh(head):
     unwrap.scene_files.save_scene(head.with_name("hidden.blend"))
     with pytest.raises(GeometryError, match="disabled in renders"):
         run(head.with_name("hidden.blend"), "--out", head.with_name("out.blend"))
+
+
+def test_what_an_output_lacks_is_named(head):
+    unwrap.scene_files.open_scene(head)
+    item = bpy.context.scene.objects[0]
+    item.data.materials.clear()
+    item.data.materials.append(bpy.data.materials.new("Skin"))
+    item.modifiers.new("More", "SUBSURF")
+    path = head.with_name("scene.blend")
+    unwrap.scene_files.save_scene(path)
+    summaries = {extension: run(path, "--out", head.with_name(f"out{extension}")) for extension in (".blend", ".obj", ".glb")}
+    assert "lacks" not in summaries[".blend"]
+    assert summaries[".obj"].endswith(" The .obj lacks materials and the effect of modifiers.")
+    assert summaries[".glb"].endswith(" The .glb lacks the effect of modifiers.")

@@ -6,9 +6,12 @@ Proxies are the same evaluated meshes with copies of their materials, since a cr
 from collections.abc import Sequence
 
 import bpy
+import mathutils
+import numpy as np
 
 from ...core.errors import FarfieldError, GeometryError
 from ..geometry import meshes
+from ..geometry.joined_meshes import find_frame
 from ..objects import temporarily_visible
 from ..rendering.render_properties import copy_render_properties
 from .cloud_materials import create_gray_material
@@ -43,17 +46,22 @@ def add_source_proxies(sources: Sequence[bpy.types.Object], collection: bpy.type
     The sources must be visible in `depsgraph`. Instances of the same data share one mesh.
     """
     wanted = {item.name_full for item in sources}
-    copied_meshes: dict[int, bpy.types.Mesh] = {}
+    copied_meshes: dict[tuple[int, bytes], bpy.types.Mesh] = {}
     copies: dict[bpy.types.Material | None, bpy.types.Material] = {}
     for owner, instance in meshes.visible_meshes(wanted, depsgraph):
-        evaluated, matrix = instance.object, instance.matrix_world.copy()
-        key = evaluated.data.as_pointer()
+        evaluated, matrix = instance.object, np.array(instance.matrix_world, np.float64)
+        frame = find_frame(matrix)
+        within = np.eye(4)
+        if not np.array_equal(frame, matrix):  # a matrix that objects without parents cannot have
+            within[:3, :3] = matrix[:3, :3]
+        key = evaluated.data.as_pointer(), within.tobytes()
         if key not in copied_meshes:
             copied_meshes[key] = _copy_mesh(evaluated, f"{collection.name} {evaluated.name}", depsgraph, copies)
+            _transform_mesh(copied_meshes[key], within)
         proxy = bpy.data.objects.new(copied_meshes[key].name, copied_meshes[key])
         copy_render_properties(owner, proxy)
         proxy[KIND] = SOURCE_PROXY
-        proxy.matrix_world = matrix
+        proxy.matrix_world = mathutils.Matrix(frame.tolist())
         collection.objects.link(proxy)
 
 
@@ -91,6 +99,14 @@ def _copy_mesh(
             copies[original] = _copy_material(original)
         mesh.materials[index] = copies[original]  # Replaced in place, because clear() assigns all faces to the first slot.
     return mesh
+
+
+def _transform_mesh(mesh: bpy.types.Mesh, matrix: np.ndarray) -> None:
+    """Transform a mesh by a matrix (4, 4); mirrored faces keep their fronts outside."""
+    if not np.array_equal(matrix, np.eye(4)):
+        mesh.transform(mathutils.Matrix(matrix.tolist()))
+        if np.linalg.det(matrix) < 0.0:
+            mesh.flip_normals()
 
 
 def _copy_material(material: bpy.types.Material | None) -> bpy.types.Material:

@@ -10,11 +10,23 @@ from ...core.geometry.transforms import transform_points
 from .evaluated_mesh import EvaluatedMesh, MaterialKey, MeshAttribute
 from .meshes import SourceInstance, explain_no_faces, read_instances
 
+MAX_SHEAR = 1e-4  # cosine between axes: rounding of matrices in single precision
 MAX_TRIANGLES = 50_000_000  # of all instances together: more would not fit into the memory of most machines
 
 
+def find_frame(matrix: np.ndarray) -> np.ndarray:
+    """Return the matrix (4, 4) of objects that stand for one with a world matrix (4, 4): this, or its translation if it shears, as within
+    turned parents with different scales, because objects without such parents cannot."""
+    axes = np.array(matrix, np.float64)[:3, :3]
+    products, lengths = axes.T @ axes, np.linalg.norm(axes, axis=0)
+    is_sheared = (np.abs(products - np.diag(lengths**2)) > MAX_SHEAR * np.outer(lengths, lengths)).any()
+    frame = np.eye(4) if is_sheared else np.array(matrix, np.float64)
+    frame[:3, 3] = np.array(matrix, np.float64)[:3, 3]
+    return frame
+
+
 def read_joined_mesh(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> tuple[EvaluatedMesh, int]:
-    """Return the evaluated mesh of an object joined with all its instances, in the space of the object, and how many meshes it consists of.
+    """Return the evaluated mesh of an object joined with all its instances, in the space of `find_frame`, and how many meshes these are.
 
     An object without instances keeps its mesh as it is.
 
@@ -24,7 +36,7 @@ def read_joined_mesh(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> 
     instances = read_instances([item], depsgraph)
     if not instances:
         raise GeometryError(f'"{item.name}" has {explain_no_faces(item)}; select a mesh with a UV map and a texture.')
-    matrix = np.array(item.evaluated_get(depsgraph).matrix_world, np.float64)
+    matrix = find_frame(np.array(item.evaluated_get(depsgraph).matrix_world))
     if len(instances) == 1 and np.array_equal(instances[0].matrix, matrix):
         return instances[0].mesh, 1
     count = sum(len(instance.mesh.triangles) for instance in instances)

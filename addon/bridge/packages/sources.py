@@ -8,6 +8,7 @@ import numpy as np
 
 from ...core.packages.material_sources import MaterialSource
 from ...core.texmesh.textured_mesh import TexturedMesh
+from ..geometry.joined_meshes import find_frame
 from ..geometry.meshes import find_material
 from ..objects import world_matrix
 from ..shading.color_products import CHANNELS
@@ -85,7 +86,7 @@ def _list_unread(surface: MaterialSurface, source: TexturedSource) -> tuple[str,
 
 def _to_world(mesh: TexturedMesh, item: bpy.types.Object) -> TexturedMesh:
     """Return `mesh` of an object turned and scaled as in the world; faces of mirrored objects still have their front outside."""
-    matrix = np.array(world_matrix(item), np.float64)[:3, :3]
+    matrix = find_frame(np.array(world_matrix(item), np.float64))[:3, :3]
     turned = replace(mesh, vertices=mesh.vertices @ matrix.T)
     if np.linalg.det(matrix) >= 0.0:
         return turned

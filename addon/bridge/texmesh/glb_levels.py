@@ -70,7 +70,7 @@ def build_scene_of_level(sets: Sequence[LevelSet], number: int) -> tuple[GlbScen
     for levels in sets:
         item = levels.levels[min(number, len(levels.levels) - 1)]
         nodes.append(GlbNode(item.name, len(meshes), _matrix(item)))
-        meshes.append(GlbMesh(item.data.name, read_primitives(item, materials), _bounds(levels)))
+        meshes.append(GlbMesh(item.data.name, read_primitives(item, materials, levels.source_name), _bounds(levels)))
     return GlbScene(tuple(nodes), tuple(meshes), tuple(materials.materials), tuple(materials.images)), materials.unread
 
 
@@ -84,13 +84,13 @@ def build_scene_of_all(sets: Sequence[LevelSet]) -> tuple[GlbScene, dict[str, tu
             others = () if index else tuple(range(first + 1, first + len(levels.levels)))
             coverages = _coverages(levels) if others else ()
             nodes.append(GlbNode(item.name, len(meshes), _matrix(item), others, coverages))
-            meshes.append(GlbMesh(item.data.name, read_primitives(item, materials), bounds))
+            meshes.append(GlbMesh(item.data.name, read_primitives(item, materials, levels.source_name), bounds))
     return GlbScene(tuple(nodes), tuple(meshes), tuple(materials.materials), tuple(materials.images)), materials.unread
 
 
-def read_primitives(item: bpy.types.Object, materials: GlbMaterials) -> tuple[GlbPrimitive, ...]:
+def read_primitives(item: bpy.types.Object, materials: GlbMaterials, source_name: str) -> tuple[GlbPrimitive, ...]:
     """Return the triangles of an object by material, in its own space with y upwards, with normals, the UV map of the material and the
-    vertex colors that it shows.
+    vertex colors that it shows. Note what else it has under `source_name`.
 
     Raises:
         GeometryError: it has none, or is in Edit Mode. FileError: an image of a material cannot be read.
@@ -101,14 +101,16 @@ def read_primitives(item: bpy.types.Object, materials: GlbMaterials) -> tuple[Gl
     if not len(mesh.triangles):
         raise GeometryError(f'"{item.name}" has no triangles to write; make its levels again.')
     normals = mesh.normals[mesh.loops].astype(np.float64)
-    primitives = []
+    primitives, uses = [], []
     for index in np.unique(mesh.material_indices).tolist():
         rows = mesh.material_indices == index
         key = mesh.materials[index]
         material, use = materials.add(None if key is None else find_material(key))
         uvs, colors = (None if values is None else values[rows] for values in (use.read_uvs(mesh), use.read_colors(mesh)))
         materials.note_uvs(material, uvs)
+        uses.append(use)
         primitives.append(_join_corners(mesh.vertices, mesh.triangles[rows], normals[rows], uvs, colors, material))
+    materials.note_attributes(source_name, item.data, uses)
     return tuple(primitives)
 
 

@@ -1,6 +1,6 @@
 """Materials of levels for glTF files: what they can store of a material, and names of the rest."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import bpy
@@ -108,6 +108,15 @@ class GlbMaterials:
         self._note(material.name, unread)
         use = VertexUse("" if used is None else used.uv_map, surface.color.attributes, surface.alpha.attributes)
         return len(self.materials) - 1, use
+
+    def note_attributes(self, name: str, mesh: bpy.types.Mesh, uses: Iterable[VertexUse]) -> None:
+        """Note UV maps and color attributes of a mesh, of the object `name`, that no material uses."""
+        render = next((layer.name for layer in mesh.uv_layers if layer.active_render), "")
+        uv_maps = {use.uv_map if use.uv_map in mesh.uv_layers else render for use in uses}
+        colors = {color or mesh.attributes.default_color_name for use in uses for color, _ in (*use.colors, *use.alphas)}
+        labels = [f'the UV map "{layer.name}"' for layer in mesh.uv_layers if layer.name not in uv_maps]
+        labels += [f'the color attribute "{item.name}"' for item in mesh.color_attributes if item.name not in colors]
+        self._note(name, labels)
 
     def note_uvs(self, index: int | None, uvs: np.ndarray | None) -> None:
         """Note if texture coordinates (..., 2) leave the image of a material that shows nothing there."""

@@ -8,11 +8,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import bpy
+import mathutils
 import numpy as np
 
 from ...core.geometry.cameras import Camera, distance_to_box
 from ...core.geometry.transforms import transform_points
 from .. import lod_crossfade
+from ..geometry.joined_meshes import find_frame
 from ..geometry.mesh_pool import is_local
 from ..objects import world_matrix
 from ..rendering import render_properties
@@ -134,7 +136,7 @@ def add_level_set(
             image = level.images.get(slot)
             level.mesh.materials.append(material if image is None else _copy_for_level(materials[slot], number, image))
         item = bpy.data.objects.new(f"{source.name} L{number}", level.mesh)
-        item.matrix_world = source.matrix_world
+        item.matrix_world = mathutils.Matrix(find_frame(np.array(source.matrix_world)).tolist())
         item[KIND], item[NUMBER], item[ERROR] = LEVEL, number, float(level.error)
         item[SWITCH_DISTANCE], item[TRIANGLES] = float(level.switch_distance), len(level.mesh.polygons)
         copy_render_properties(source, item)
