@@ -89,23 +89,23 @@ def test_transparency_is_said():
     assert 'The package lacks transparency of "Paint".' in remarks
 
 
-def test_tints_and_mappings_are_part_of_the_package_and_other_things_are_named():
+def test_color_factors_and_mappings_are_part_of_the_package_and_other_things_are_named():
     ball = textured_ball()
     material = ball.data.materials[0]
     tree, image = material.node_tree, material.node_tree.nodes["Image Texture"]
     before = read_package_source(ball, bpy.context.evaluated_depsgraph_get())
-    tint, mapping, coordinates, colors, both = (
+    factor, mapping, coordinates, colors, both = (
         tree.nodes.new(f"ShaderNode{kind}") for kind in ("MixRGB", "Mapping", "TexCoord", "VertexColor", "MixRGB")
     )
-    for node in (tint, both):
+    for node in (factor, both):
         node.blend_type = "MULTIPLY"
         node.inputs[0].default_value = 1.0
-    tint.inputs[2].default_value = (0.5, 0.25, 1.0, 1.0)
+    factor.inputs[2].default_value = (0.5, 0.25, 1.0, 1.0)
     mapping.inputs["Scale"].default_value, mapping.inputs["Location"].default_value = (4.0, 2.0, 1.0), (0.5, -1.0, 0.0)
     tree.links.new(coordinates.outputs["UV"], mapping.inputs["Vector"])
     tree.links.new(mapping.outputs["Vector"], image.inputs["Vector"])
-    tree.links.new(image.outputs["Color"], tint.inputs[1])
-    tree.links.new(tint.outputs[0], both.inputs[1])
+    tree.links.new(image.outputs["Color"], factor.inputs[1])
+    tree.links.new(factor.outputs[0], both.inputs[1])
     tree.links.new(colors.outputs["Color"], both.inputs[2])
     tree.links.new(both.outputs[0], tree.nodes["Principled BSDF"].inputs["Base Color"])
     image.extension = "EXTEND"

@@ -149,14 +149,14 @@ def test_an_opacity_image_of_its_own_becomes_the_alpha_of_the_color_image():
     assert coded[:, 5, 3].tolist() == pytest.approx([0] * 15 + [64, 191] + [255] * 15, abs=1)
 
 
-def tint(nodes: Nodes) -> None:
+def multiply(nodes: Nodes) -> None:
     mixed = nodes.add("Mix", 0.5, nodes.image.outputs["Color"], (0.2, 0.6, 1.0, 1.0), data_type="RGBA", blend_type="MULTIPLY")
     nodes.link(mixed, "Base Color")
 
 
-def tint_in_a_group(nodes: Nodes) -> None:
-    tree = bpy.data.node_groups.new("Tint", "ShaderNodeTree")
-    for name in ("Color", "Tint"):
+def multiply_in_a_group(nodes: Nodes) -> None:
+    tree = bpy.data.node_groups.new("Factor", "ShaderNodeTree")
+    for name in ("Color", "Factor"):
         tree.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketColor")
     tree.interface.new_socket("Color", in_out="OUTPUT", socket_type="NodeSocketColor")
     start, mix, end = (tree.nodes.new(kind) for kind in ("NodeGroupInput", "ShaderNodeMixRGB", "NodeGroupOutput"))
@@ -171,8 +171,8 @@ def tint_in_a_group(nodes: Nodes) -> None:
     nodes.link(group.outputs[0], "Base Color")
 
 
-@pytest.mark.parametrize("change", [tint, tint_in_a_group])
-def test_tints(change):
+@pytest.mark.parametrize("change", [multiply, multiply_in_a_group])
+def test_color_factors(change):
     nodes = Nodes(checker_image())
     change(nodes)
     material, _, found = nodes.read()
@@ -209,7 +209,7 @@ def test_mapping_and_uv_map(vector_type):
     assert use.uv_map == "Second"
 
 
-def lose_hue(nodes: Nodes) -> None:
+def lose_color_changes(nodes: Nodes) -> None:
     nodes.link(nodes.add("HueSaturation", None, None, None, None, nodes.image.outputs["Color"]), "Base Color")
 
 
@@ -241,7 +241,7 @@ def lose_shear(nodes: Nodes) -> None:
 @pytest.mark.parametrize(
     ("change", "labels"),
     [
-        (lose_hue, ("Hue/Saturation/Value",)),
+        (lose_color_changes, ("Hue/Saturation/Value",)),
         (lose_normals, ("Normal",)),
         (lose_metal, ("Metallic",)),
         (lose_a_second_image, ('the image "Dirt"',)),
@@ -259,7 +259,7 @@ def test_what_a_file_lacks_is_named(change, labels):
 
 
 def test_blenders_importer_makes_the_same_materials(tmp_path):
-    """Opacity, tints, placement and wrapping of every kind come back from Blender's importer as they were written."""
+    """Opacity, color factors, placement and wrapping of every kind come back from Blender's importer as they were written."""
     import addon_utils
 
     turned = ((0.0, -2.0, 0.25), (3.0, 0.0, -0.5))

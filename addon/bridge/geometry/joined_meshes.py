@@ -10,8 +10,8 @@ from ...core.geometry.transforms import transform_points
 from .evaluated_mesh import EvaluatedMesh, MaterialKey, MeshAttribute
 from .meshes import SourceInstance, explain_no_faces, read_instances
 
-MAX_SHEAR = 1e-4  # cosine between axes: rounding of matrices in single precision
-MAX_TRIANGLES = 50_000_000  # of all instances together: more would not fit into the memory of most machines
+MAX_SHEAR = 1e-4  # Cosine between axes; below, it is rounding in single precision.
+MAX_TRIANGLES = 50_000_000  # Triangles of all instances together; more do not fit into the memory of most machines.
 
 
 def find_frame(matrix: np.ndarray) -> np.ndarray:

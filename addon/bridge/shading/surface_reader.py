@@ -37,7 +37,7 @@ class MaterialSurface:
 
     @property
     def is_opaque(self) -> bool:
-        """Whether nothing shines through."""
+        """Whether nothing is_light through."""
         return self.alpha.is_constant and self.alpha.factor[0] >= 1.0
 
 
@@ -147,6 +147,6 @@ def _list_inputs(shader: bpy.types.Node, color_input: bpy.types.NodeSocket | Non
     if shader.type == "BSDF_PRINCIPLED":
         metallic, strength, emission = (shader.inputs[name] for name in ("Metallic", "Emission Strength", "Emission Color"))
         linked += ["Metallic"] if not metallic.links and metallic.default_value > 0.0 else []
-        shines = not strength.links and strength.default_value > 0.0 and any(value > 0.0 for value in emission.default_value[:3])
-        linked += ["Emission Color"] if shines and not emission.links and color_input != emission else []
+        is_light = not strength.links and strength.default_value > 0.0 and any(value > 0.0 for value in emission.default_value[:3])
+        linked += ["Emission Color"] if is_light and not emission.links and color_input != emission else []
     return list(dict.fromkeys(linked))

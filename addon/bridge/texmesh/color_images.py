@@ -10,9 +10,9 @@ from ...compat import uses_nodes
 from ...core.errors import FileError
 from ..imaging.color_spaces import read_linear_pixels
 from ..imaging.images import find_path
+from ..shading.surface_reader import COLOR_INPUTS
 
 MAX_SIDE = 4096  # pixels; larger images are halved until they fit
-COLOR_INPUTS = ("Base Color", "Color", "Emission Color")  # the first one that is linked counts
 
 
 def find_color_image(material: bpy.types.Material | None) -> tuple[bpy.types.Image | None, str]:

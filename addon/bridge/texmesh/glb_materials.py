@@ -138,7 +138,7 @@ class GlbMaterials:
 
 
 def choose_textures(surface: MaterialSurface) -> tuple[TextureUse | None, TextureUse | None, tuple[str, ...]]:
-    """Return the textures of color and opacity of a surface that one image can hold, and labels of what it depends on besides."""
+    """Return the textures of color and opacity of a surface that one image can hold, and labels of what else it depends on."""
     color, *further = surface.color.textures or (None,)
     alpha, *further_alphas = surface.alpha.textures or (None,)
     unread = [*surface.color.unread, *surface.alpha.unread, *surface.unread]

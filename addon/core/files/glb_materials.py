@@ -14,7 +14,7 @@ WRAPS = {"repeat": 10497, "mirror": 33648, "clamp": 33071}
 LINEAR, NEAREST, TRILINEAR = 9729, 9728, 9987
 OPAQUE, MASK, BLEND = "OPAQUE", "MASK", "BLEND"
 FLIP = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 1.0], [0.0, 0.0, 1.0]])  # between v upwards and v downwards
-MAX_SHEAR = 1e-5  # of a placement relative to its scale: rounding
+MAX_SHEAR = 1e-5  # Relative to the scale of a placement; below, it is rounding.
 Placement = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
@@ -45,7 +45,8 @@ class GlbMaterial:
         base_color: scene-linear RGBA, multiplied with the texture and with the colors of vertices.
         texture: of the base color, and of alpha unless `alpha_mode` is OPAQUE.
         is_double_sided: whether back faces show.
-        alpha_mode: OPAQUE, MASK (visible where alpha is at least `alpha_cutoff`) or BLEND.
+        alpha_mode: OPAQUE, MASK or BLEND.
+        alpha_cutoff: alpha from which a surface with a MASK is visible.
     """
 
     name: str

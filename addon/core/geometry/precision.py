@@ -2,9 +2,9 @@
 
 import numpy as np
 
-MAX_RATIO = 1000.0  # of distance from the origin to size: beyond, sums of squares in double precision lose what decides ties
-MIN_SPACING = 1e-6  # of single precision relative to the size of a mesh: that of meshes near their origin is smaller
-MAX_SPACING = 0.01  # of single precision relative to the median edge: beyond, shapes of triangles change visibly
+MAX_RATIO = 1000.0  # Distance from the origin over size; beyond, sums of squares in double precision lose what decides ties.
+MIN_SPACING = 1e-6  # Relative to the size of a mesh; single precision has smaller steps near the origin.
+MAX_SPACING = 0.01  # Relative to the median edge; beyond, the shapes of triangles change visibly.
 
 
 def choose_local_origin(points: np.ndarray) -> np.ndarray:

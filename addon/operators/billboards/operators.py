@@ -7,6 +7,7 @@ import bpy
 from ...bridge import cameras
 from ...bridge.billboards import clouds
 from ...bridge.billboards.scene_clouds import SceneCloud, clouds_in, clouds_of_levels, find_cloud
+from ...bridge.geometry.meshes import may_have_surface
 from ...core.billboards.settings import BillboardSettings, BuildOptions, CrossfadeSettings
 from .. import long_work, properties, start_job
 from ..error_reports import report_message, reports_errors
