@@ -308,9 +308,9 @@ def check_imported(item: bpy.types.Object, expected: GlbMaterial, uvs: np.ndarra
     mesh = read_evaluated_mesh(item.data, item)
     matrices = [np.eye(2, 3) if texture.placement is None else np.array(texture.placement) for texture in (found.texture, expected.texture)]
     corners = mesh.triangles[0]
-    read, wanted = use.read_uvs(mesh)[0], uvs[corners]
+    read, wanted = use.read_uvs(mesh, np.arange(1))[0], uvs[corners]
     assert np.allclose(read @ matrices[0][:, :2].T + matrices[0][:, 2], wanted @ matrices[1][:, :2].T + matrices[1][:, 2], atol=2e-4)
-    shown = use.read_colors(mesh)[0]
+    shown = use.read_colors(mesh, np.arange(1))[0]
     assert np.allclose(shown, colors[corners][:, : shown.shape[1]], atol=0.005)
     assert shown.shape[1] == (3 if expected.alpha_mode == OPAQUE else 4)
 

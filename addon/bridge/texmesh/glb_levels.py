@@ -103,10 +103,10 @@ def read_primitives(item: bpy.types.Object, materials: GlbMaterials, source_name
     normals = mesh.normals[mesh.loops].astype(np.float64)
     primitives, uses = [], []
     for index in np.unique(mesh.material_indices).tolist():
-        rows = mesh.material_indices == index
+        rows = np.flatnonzero(mesh.material_indices == index)
         key = mesh.materials[index]
         material, use = materials.add(None if key is None else find_material(key))
-        uvs, colors = (None if values is None else values[rows] for values in (use.read_uvs(mesh), use.read_colors(mesh)))
+        uvs, colors = use.read_uvs(mesh, rows), use.read_colors(mesh, rows)
         materials.note_uvs(material, uvs)
         uses.append(use)
         primitives.append(_join_corners(mesh.vertices, mesh.triangles[rows], normals[rows], uvs, colors, material))

@@ -25,28 +25,28 @@ class VertexUse:
     colors: tuple[tuple[str, str], ...] = ()
     alphas: tuple[tuple[str, str], ...] = ()
 
-    def read_uvs(self, mesh: EvaluatedMesh) -> np.ndarray | None:
-        """Return the texture coordinates (T, 3, 2) float64 of the corners of a mesh, None without a UV map."""
+    def read_uvs(self, mesh: EvaluatedMesh, triangles: np.ndarray) -> np.ndarray | None:
+        """Return the texture coordinates (N, 3, 2) float64 at the corners of `triangles` (N,) of a mesh, None without a UV map."""
         name = self.uv_map if self.uv_map in mesh.attributes else mesh.uv_map
-        return mesh.at_corners(name, np.arange(len(mesh.triangles))).astype(np.float64) if name else None
+        return mesh.at_corners(name, triangles).astype(np.float64) if name else None
 
-    def read_colors(self, mesh: EvaluatedMesh) -> np.ndarray | None:
-        """Return the colors (T, 3, 3 or 4) float64 of the corners of a mesh, scene-linear, None if they do not count."""
+    def read_colors(self, mesh: EvaluatedMesh, triangles: np.ndarray) -> np.ndarray | None:
+        """Return the scene-linear colors (N, 3, 3 or 4) float64 at the corners of `triangles` (N,) of a mesh, None if they do not count."""
         if not self.colors and not self.alphas:
             return None
-        result = np.ones((len(mesh.triangles), 3, 4))
+        result = np.ones((len(triangles), 3, 4))
         for attributes, components in ((self.colors, slice(0, 3)), (self.alphas, slice(3, 4))):
             for name, output in attributes:
-                result[..., components] *= _read_attribute(mesh, name, output)
+                result[..., components] *= _read_attribute(mesh, triangles, name, output)
         return result if self.alphas else result[..., :3]
 
 
-def _read_attribute(mesh: EvaluatedMesh, name: str, output: str) -> np.ndarray:
-    """Return what an attribute node shows of an attribute at the corners, (T, 3, 1 or 3); 0 without the attribute, as in renders."""
+def _read_attribute(mesh: EvaluatedMesh, triangles: np.ndarray, name: str, output: str) -> np.ndarray:
+    """Return what an attribute node shows at the corners of `triangles` (N,), (N, 3, 1 or 3); 0 without the attribute, as in renders."""
     attribute = mesh.attributes.get(name or mesh.color)
     if attribute is None:
-        return np.zeros((len(mesh.triangles), 3, 1))
-    values = mesh.at_corners(name or mesh.color, np.arange(len(mesh.triangles)))
+        return np.zeros((len(triangles), 3, 1))
+    values = mesh.at_corners(name or mesh.color, triangles)
     if output == "Alpha":
         return values[..., 3:4] if values.shape[2] == 4 else np.ones((len(values), 3, 1))
     return values[..., :3] if values.shape[2] >= 3 else values[..., :1]
