@@ -238,12 +238,17 @@ def lose_shear(nodes: Nodes) -> None:
     nodes.tree.links.new(mapping.outputs[0], nodes.image.inputs["Vector"])
 
 
+def lose_unknown_opacity(nodes: Nodes) -> None:
+    nodes.link(nodes.add("LayerWeight"), "Alpha")
+
+
 @pytest.mark.parametrize(
     ("change", "labels"),
     [
         (lose_color_changes, ("Hue/Saturation/Value",)),
         (lose_normals, ("Normal",)),
         (lose_metal, ("Metallic",)),
+        (lose_unknown_opacity, ("Layer Weight",)),
         (lose_a_second_image, ('the image "Dirt"',)),
         (lose_generated_coordinates, ("Generated coordinates",)),
         (lose_shear, ("Mapping",)),
@@ -253,7 +258,7 @@ def test_what_a_file_lacks_is_named(change, labels):
     nodes = Nodes(checker_image())
     change(nodes)
     material, _, found = nodes.read()
-    assert material.texture is not None
+    assert material.texture is not None and material.alpha_mode == OPAQUE
     assert found.unread == {"Leaf": labels}
     assert describe_unread(found.unread, "The .glb") == [f'The .glb lacks {labels[0]} of "Leaf".']
 

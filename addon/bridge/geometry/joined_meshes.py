@@ -14,6 +14,7 @@ MAX_SHEAR = 1e-4  # Cosine between axes; below, it is rounding in single precisi
 MAX_TRIANGLES = 50_000_000  # Triangles of all instances together; more do not fit into the memory of most machines.
 
 
+@np.errstate(over="ignore", invalid="ignore")  # A later check reports coordinates that are not finite.
 def find_frame(matrix: np.ndarray) -> np.ndarray:
     """Return the matrix (4, 4) of objects that stand for one with a world matrix (4, 4): this, or its translation if it shears, as within
     turned parents with different scales, because objects without such parents cannot."""

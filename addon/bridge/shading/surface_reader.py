@@ -37,8 +37,8 @@ class MaterialSurface:
 
     @property
     def is_opaque(self) -> bool:
-        """Whether nothing is_light through."""
-        return self.alpha.is_constant and self.alpha.factor[0] >= 1.0
+        """Whether nothing is known to show through."""
+        return not self.alpha.textures and not self.alpha.attributes and self.alpha.factor[0] >= 1.0
 
 
 def read_surface(material: bpy.types.Material) -> MaterialSurface:

@@ -22,7 +22,7 @@ def describe_rounding(name: str, vertices: np.ndarray, triangles: np.ndarray) ->
     if not len(triangles) or not np.isfinite(vertices).all():
         return ""
     spacing = float(np.spacing(np.abs(vertices).max().astype(np.float32)))
-    if spacing <= MIN_SPACING * float(np.ptp(vertices, axis=0).max()):
+    if spacing <= MIN_SPACING * float(np.ptp(vertices.astype(np.float64), axis=0).max()):
         return ""
     corners = vertices[triangles].astype(np.float64)
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
