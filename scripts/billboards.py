@@ -68,7 +68,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     given.files.check(obj_materials(out, material_path(out)))
     clock = StageClock()
     with clock.stage("read"):
-        scene_files.open_scene(given.input.absolute(), given.files)
+        moved = scene_files.describe_moved(scene_files.open_near_origin(given.input.absolute(), given.files))
         if given.cross_fade and read_scene_camera(bpy.context.scene) is None:
             raise GeometryError("--cross-fade needs an active camera, and the file has none; add a camera, or omit --cross-fade.")
         job = prepare_input(given.input, settings[BillboardSettings], replace(settings[BuildOptions], combine_selected=True))
@@ -82,7 +82,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
         write_output(out, job)
     if given.report is not None:
         command_line.write_report(given.report.absolute(), build_report(job, clock))
-    return summary
+    return " ".join(filter(None, [summary, moved]))
 
 
 def prepare_input(path: Path | None, settings: BillboardSettings, options: BuildOptions) -> BillboardJob:

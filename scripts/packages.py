@@ -76,7 +76,8 @@ def build(given: Namespace, line: command_line.ProgressLine) -> str:
     out = given.out.absolute()
     clock = StageClock()
     with clock.stage("read"):
-        job = prepare_packages(bpy.context, open_objects(given), settings, package_settings, out)
+        objects, moved = open_objects(given)
+        job = prepare_packages(bpy.context, objects, settings, package_settings, out)
         job.skipped.extend(scene_files.describe_missing())
     with clock.stage("build"):
         summary = run_to_end(run_job(job), line.show)
@@ -89,7 +90,7 @@ def build(given: Namespace, line: command_line.ProgressLine) -> str:
             "peak_memory_mb": round(command_line.peak_memory_mb(), 1),
         }
         command_line.write_report(given.report.absolute(), report)
-    return summary
+    return " ".join(filter(None, [summary, moved]))
 
 
 def describe_package(report: PackageReport) -> dict[str, Any]:

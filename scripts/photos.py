@@ -29,7 +29,6 @@ from farfield.addon.bridge.photos.photo_folders import PhotoFolder, strip_extens
 from farfield.addon.bridge.photos.results import assign_texture, create_textures
 from farfield.addon.bridge.photos.surfaces import read_surface
 from farfield.addon.core.errors import FileError
-from farfield.addon.core.files.far_meshes import near_origin
 from farfield.addon.core.files.filenames import unique_filenames
 from farfield.addon.core.files.outputs import OBJ_COMMENT, Output
 from farfield.addon.core.files.scratch import Scratch
@@ -193,8 +192,7 @@ def read_photographs(given: Namespace, cameras: list[PhotoCamera], images: Photo
 def read_objects(path: Path, files: RunFiles) -> tuple[list[bpy.types.Object], np.ndarray | None]:
     """Open the scene and return its meshes, with the axes of the file, and the position (3,) from which they were moved to the origin, None
     if they were not. Raises FileError if one of its files would be replaced."""
-    with near_origin(path) as (near, origin):
-        scene_files.open_scene(near, files)
+    origin = scene_files.open_near_origin(path, files)
     objects = scene_files.objects_in_renders(path, scene_files.is_mesh)
     if path.suffix.lower() == ".obj":  # which Blender's importer turns
         for item in objects:

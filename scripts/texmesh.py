@@ -74,7 +74,8 @@ def make_levels(given: Namespace, line: command_line.ProgressLine) -> str:
         given.files.check(level_outputs(out, [output.path.absolute() for output in given.files.outputs]))
     clock = StageClock()
     with clock.stage("read"):
-        job = prepare_levels(bpy.context, open_objects(given), settings, scene_settings)
+        objects, moved = open_objects(given)
+        job = prepare_levels(bpy.context, objects, settings, scene_settings)
         job.skipped.extend(scene_files.describe_missing())
     with clock.stage("levels"):
         summary = run_to_end(run_job(job), line.show)
@@ -82,7 +83,7 @@ def make_levels(given: Namespace, line: command_line.ProgressLine) -> str:
     with clock.stage("write"):
         lacking = write_output(job, out, given)
     write_report(given, [{"name": name, **describe_chain(chain)} for name, chain in named_chains(job)], job.skipped, clock)
-    return " ".join([summary, *lacking])
+    return " ".join(filter(None, [summary, moved, *lacking]))
 
 
 def analyze(given: Namespace, line: command_line.ProgressLine) -> str:
@@ -92,7 +93,8 @@ def analyze(given: Namespace, line: command_line.ProgressLine) -> str:
         raise FileError(f'--plot is "{given.plot}"; it must end in .png.')
     clock = StageClock()
     with clock.stage("read"):
-        job = prepare_analysis(bpy.context, open_objects(given), settings)
+        objects, moved = open_objects(given)
+        job = prepare_analysis(bpy.context, objects, settings)
         job.skipped.extend(scene_files.describe_missing())
     with clock.stage("analyze"):
         summary = run_to_end(run_job(job), line.show)
@@ -100,7 +102,7 @@ def analyze(given: Namespace, line: command_line.ProgressLine) -> str:
     if given.plot is not None:
         write_plot(job, given.plot.absolute())
     write_report(given, [describe_map(name, scale_map) for name, scale_map in job.results], job.skipped, clock)
-    return summary
+    return " ".join(filter(None, [summary, moved]))
 
 
 def write_output(job: LevelsJob, out: Path, given: Namespace) -> list[str]:

@@ -61,7 +61,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
         raise FileError(f'--image is "{given.image}"; it must end in .png.')
     clock = StageClock()
     with clock.stage("read"):
-        scene_files.open_scene(given.input.absolute(), given.files)
+        moved = scene_files.describe_moved(scene_files.open_near_origin(given.input.absolute(), given.files))
         scene_files.objects_in_renders(given.input, scene_files.is_mesh)
         job = prepare(bpy.context, [item for item in bpy.context.scene.objects if not item.hide_render], settings)
     job.skipped.extend(scene_files.describe_missing())
@@ -77,7 +77,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
                 save_stretch_image(bpy.data.objects[first_target.object_name], temporary, STRETCH_IMAGE_RESOLUTION)
     if given.report is not None:
         command_line.write_report(given.report.absolute(), build_report(job, clock))
-    return summary + lacking
+    return " ".join(filter(None, [summary, moved, lacking]))
 
 
 def write_output(out: Path) -> str:
@@ -94,7 +94,7 @@ def write_output(out: Path) -> str:
     meshes = [item for item in bpy.context.scene.objects if item.type == "MESH"]
     lacking = ["materials"] if extension == ".obj" and any(item.data.materials for item in meshes) else []
     lacking += ["the effect of modifiers"] if any(modifier.show_render for item in meshes for modifier in item.modifiers) else []
-    return f" The {extension} lacks {' and '.join(lacking)}." if lacking else ""
+    return f"The {extension} lacks {' and '.join(lacking)}." if lacking else ""
 
 
 def build_report(job: UnwrapJob, clock: StageClock) -> dict[str, Any]:

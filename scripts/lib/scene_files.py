@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from lib import environment
 
@@ -12,7 +13,9 @@ environment.import_farfield()
 from farfield.addon.bridge.geometry.meshes import is_collection_instance, may_have_surface
 from farfield.addon.core.errors import FileError, GeometryError
 from farfield.addon.core.files.complete_files import is_complete_blend
+from farfield.addon.core.files.far_meshes import near_origin
 from farfield.addon.core.files.file_access import check_readable
+from farfield.addon.core.geometry.local_origin import describe_move
 from lib.atomic_output import atomic_file, blender_error_message
 from lib.ply_header import check_ply_header
 from lib.run_files import RunFiles
@@ -56,6 +59,22 @@ def open_scene(path: Path, files: RunFiles | None = None) -> None:
         raise FileError(f'Blender cannot read "{path}": {blender_error_message(error)}') from error
     if files is not None:
         files.check_scene(path)
+
+
+def open_near_origin(path: Path, files: RunFiles | None = None) -> np.ndarray | None:
+    """Open a scene as `open_scene` does. A mesh file with coordinates that are too large for Blender is moved to the origin: return the
+    position (3,) from where, None for other files. Raises FileError."""
+    if path.suffix.lower() == ".ply":
+        check_readable(path)
+        check_ply_header(path)
+    with near_origin(path) as (near, origin):
+        open_scene(near, files)
+    return origin
+
+
+def describe_moved(origin: np.ndarray | None) -> str:
+    """Return a sentence about a scene that `open_near_origin` moved from `origin`, "" if it did not."""
+    return "" if origin is None else describe_move(origin, "The vertices")
 
 
 def objects_in_renders(path: Path | None, is_wanted: Callable[[bpy.types.Object], bool] = may_have_surface) -> list[bpy.types.Object]:

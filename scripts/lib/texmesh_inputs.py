@@ -35,7 +35,8 @@ def read_level_settings(given: Namespace) -> TexmeshSettings:
     return settings
 
 
-def open_objects(given: Namespace) -> list[bpy.types.Object]:
-    """Open the input and return its objects with surfaces that are visible in renders. Raises FarfieldError."""
-    scene_files.open_scene(given.input.absolute(), given.files)
-    return scene_files.objects_in_renders(given.input)
+def open_objects(given: Namespace) -> tuple[list[bpy.types.Object], str]:
+    """Open the input and return its objects with surfaces that are visible in renders, and a sentence if they were moved to the origin.
+    Raises FarfieldError."""
+    origin = scene_files.open_near_origin(given.input.absolute(), given.files)
+    return scene_files.objects_in_renders(given.input), scene_files.describe_moved(origin)

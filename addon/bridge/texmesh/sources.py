@@ -7,8 +7,8 @@ import bpy
 import numpy as np
 
 from ...core.geometry.edges import find_edges
+from ...core.geometry.local_origin import describe_coarseness, find_local_origin
 from ...core.geometry.mesh import TriangleMesh, face_areas_and_normals
-from ...core.geometry.precision import choose_local_origin, describe_rounding
 from ...core.geometry.transforms import signed_areas
 from ...core.messages import format_count
 from ...core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
@@ -67,13 +67,14 @@ def read_textured_source(
     count = len(evaluated.triangles)
     corner_uvs = evaluated.at_corners(uv_map, np.arange(count)) if uv_map else np.zeros((count, 3, 2), np.float32)
     values, attributes = _read_corner_values(evaluated) if has_attributes else (None, ())
-    origin = choose_local_origin(evaluated.vertices)
+    origin = find_local_origin(evaluated.vertices)
+    origin = np.zeros(3) if origin is None else origin
     mesh = TriangleMesh(evaluated.vertices - origin, evaluated.triangles, evaluated.material_indices)
     textured = build_textured_mesh(mesh, corner_uvs, values, item.name)
     remarks = [
         *remarks,
         *([f'The levels of "{item.name}" are one mesh, joined from {mesh_count:,} instances.'] if mesh_count > 1 else []),
-        *filter(None, [describe_rounding(item.name, evaluated.vertices, evaluated.triangles)]),
+        *filter(None, [describe_coarseness(evaluated.vertices, f'"{item.name}"', "it")]),
         *_describe_evaluation(item),
         *_describe_edges(item.name, textured),
         *_describe_uvs(item.name, textured, bool(uv_map)),

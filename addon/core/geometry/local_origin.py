@@ -8,7 +8,7 @@ MAX_SPACING = 1e-5  # between neighboring numbers of single precision, relative 
 def find_local_origin(points: np.ndarray) -> np.ndarray | None:
     """Return a position (3,) near `points` (N, 3), with few digits, in relation to which single precision is exact enough for them; None if
     it is so already, or they have no extent."""
-    finite = points[np.isfinite(points).all(axis=1)]
+    finite = points[np.isfinite(points).all(axis=1)].astype(np.float64)
     if not len(finite):
         return None
     low, high = finite.min(axis=0), finite.max(axis=0)
@@ -20,14 +20,17 @@ def find_local_origin(points: np.ndarray) -> np.ndarray | None:
     return np.round(0.5 * (low + high) / step) * step
 
 
-def describe_coarseness(points: np.ndarray) -> str:
-    """Return a sentence about a mesh with `points` (N, 3) that is too far from the origin, empty if it is not."""
+def describe_coarseness(points: np.ndarray, subject: str = "The mesh", exported: str = "mesh and cameras") -> str:
+    """Return a sentence about a `subject` with `points` (N, 3) that is too far from the origin, empty if it is not.
+
+    exported: what should be exported otherwise.
+    """
     if find_local_origin(points) is None:
         return ""
     step = np.spacing(np.float32(np.abs(points[np.isfinite(points).all(axis=1)]).max()))
     return (
-        f"The mesh is so far from the origin that Blender has rounded its coordinates to multiples of {step:.2g}; use an .obj file, or "
-        "a .ply file with double precision, which Farfield moves to the origin, or export mesh and cameras with local coordinates."
+        f"{subject} is so far from the origin that Blender has rounded its coordinates to multiples of {step:.2g}; use an .obj file, or "
+        f"a .ply file with double precision, which Farfield moves to the origin, or export {exported} with local coordinates."
     )
 
 

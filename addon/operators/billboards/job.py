@@ -17,7 +17,7 @@ from ...core.billboards.build import build_cloud
 from ...core.billboards.cloud import Cloud
 from ...core.billboards.settings import BillboardSettings, BuildOptions
 from ...core.errors import GeometryError
-from ...core.geometry.precision import describe_rounding
+from ...core.geometry.local_origin import describe_coarseness
 from ...core.jobs.progress import Progress, Steps, subprogress
 from .sources import linked_sources_message, read_sources
 
@@ -133,7 +133,7 @@ class BillboardJob:
         hidden = f" Hidden: {', '.join(self.hidden_clouds)}." if self.hidden_clouds else ""
         skipped = f" Skipped: {'; '.join(self.skipped)}." if self.skipped else ""
         read = {(instance.name, id(instance.mesh)): instance for source in self.sources for instance in source.instances}.values()
-        rounded = "".join(f" {text}" for item in read if (text := describe_rounding(item.name, item.mesh.vertices, item.mesh.triangles)))
+        rounded = "".join(f" {text}" for item in read if (text := describe_coarseness(item.mesh.vertices, f'"{item.name}"', "it")))
         return f"Built {', '.join(figures)}.{hidden}{linked}{rounded}{skipped}"
 
 

@@ -13,8 +13,8 @@ from ...bridge.geometry.meshes import SourceInstance, concatenate_in_world_space
 from ...bridge.unwrap import uv_maps
 from ...core.errors import GeometryError, SettingsError
 from ...core.geometry.cameras import CameraProjection
+from ...core.geometry.local_origin import describe_coarseness
 from ...core.geometry.mesh import TriangleMesh
-from ...core.geometry.precision import describe_rounding
 from ...core.jobs.progress import Progress, Steps, subprogress
 from ...core.messages import format_count
 from ...core.unwrap.importance import compute_importance, from_direction
@@ -118,7 +118,7 @@ def prepare(context: bpy.types.Context, objects: Sequence[bpy.types.Object], set
                 target = uv_maps.read_uv_target(item, settings.vertex_group if settings.importance == "vertex_group" else None)
                 check_surface(target.mesh, item.name)
                 targets.append(target)
-                remarks.append(describe_rounding(item.name, read_positions(item.data), target.mesh.triangles))
+                remarks.append(describe_coarseness(read_positions(item.data), f'"{item.name}"', "it"))
             except GeometryError as error:
                 errors.append(error)
     if not targets:
