@@ -19,7 +19,7 @@ LIBRARY_MESSAGE = re.compile(  # printed by libpng, and by Blender's dependency 
     r"|Depth +Type +Name$|-----    ----  |\d+ +Object  "
 )
 TEMPORARY_NAME = re.compile(r"\.?farfield-|.*\.part$")
-BLENDER_FOLDER = re.compile(r"blender_")  # Blender's own temporary folder, which lives as long as the process
+BLENDER_FOLDER = re.compile(r"blender_|farfield-stores-")  # Blender's own temporary folder and samples live as long as the process.
 VARYING = re.compile(r"\"[^\"]*\"|'[^']*'|\d+")
 
 State = dict[str, tuple[str, str]]  # relative path: kind, digest

@@ -126,6 +126,8 @@ def _build_project_case(random: Random, case: CommandCase, folder: Path, samples
         is_required = flag in REQUIRED_OUTPUTS.get(command, ())
         if random.random() < (0.98 if is_required else 0.2):
             _add_output(case, flag, _choose_output(random, folder, random.choice(suffixes), source, case))
+            if flag == "--overlays":
+                case.work = case.outputs[-1]  # They show why a merge fails, and are written before it.
     if command in ("levels", "build", "photos"):
         case.arguments += small_flags(case.tool) + random_flags(random, case.tool)
     if random.random() < 0.02:

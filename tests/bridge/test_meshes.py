@@ -8,7 +8,7 @@ pytest.importorskip("bpy")
 import bpy
 
 from bridge import blender_scenes
-from farfield.addon.bridge.geometry.meshes import read_point_cloud, read_source
+from farfield.addon.bridge.geometry.meshes import concatenate_in_world_space, read_point_cloud, read_source
 from farfield.addon.core.errors import GeometryError
 from farfield.addon.core.geometry.mesh import face_areas_and_normals
 
@@ -184,3 +184,8 @@ def test_a_material_that_was_renamed_is_an_error():
     source.materials[0].name = "Loam"
     with pytest.raises(GeometryError, match='"Clay" was renamed or removed'):
         _ = source.materials
+
+
+def test_nothing_is_no_surface():
+    with pytest.raises(GeometryError, match="No object with faces can be seen"):
+        concatenate_in_world_space([])

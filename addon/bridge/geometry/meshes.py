@@ -204,7 +204,13 @@ def visible_meshes(
 
 @np.errstate(invalid="ignore")  # infinite coordinates pass: a later check reports them
 def concatenate_in_world_space(instances: list[SourceInstance]) -> TriangleMesh:
-    """Return one soup of all `instances`; material indices refer to the distinct materials in order of first use, -1 for none."""
+    """Return one soup of all `instances`; material indices refer to the distinct materials in order of first use, -1 for none.
+
+    Raises:
+        GeometryError: there are none.
+    """
+    if not instances:
+        raise GeometryError("No object with faces can be seen; show it in the viewport and in its collections.")
     vertices, triangles, materials = [], [], []
     material_indices: dict[MaterialKey, int] = {}
     offset = 0

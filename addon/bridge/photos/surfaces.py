@@ -34,18 +34,18 @@ def read_surface(instances: list[SourceInstance], new_uvs: Mapping[int, np.ndarr
     new_uvs: UVs (T, 3, 2) that replace the UV map of an object with this session UID, for the triangles of its mesh.
 
     Raises:
-        GeometryError: one has no UV map.
+        GeometryError: there are none, or one has no UV map.
     """
-    corner_uvs = []
+    mesh, corner_uvs = concatenate_in_world_space(instances), []
     for instance in instances:
         uvs = (new_uvs or {}).get(instance.object_uid)
         if uvs is None:
-            mesh = instance.mesh
-            if not mesh.uv_map:
+            own = instance.mesh
+            if not own.uv_map:
                 raise GeometryError(f'"{instance.name}" has no UV map; unwrap it first.')
-            uvs = mesh.at_corners(mesh.uv_map, np.arange(len(mesh.triangles)))
+            uvs = own.at_corners(own.uv_map, np.arange(len(own.triangles)))
         corner_uvs.append(uvs[:, ::-1] if instance.is_mirrored else uvs)
-    return PhotoSurface(concatenate_in_world_space(instances), np.concatenate(corner_uvs).astype(np.float32))
+    return PhotoSurface(mesh, np.concatenate(corner_uvs).astype(np.float32))
 
 
 def split_layout(instances: list[SourceInstance], layout: PageLayout) -> Iterator[tuple[SourceInstance, np.ndarray, np.ndarray]]:

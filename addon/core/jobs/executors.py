@@ -102,6 +102,17 @@ def open_executor(text: str) -> Iterator[OpenExecutor]:
         executor.shutdown(wait=True, cancel_futures=True)
 
 
+def check_executor(text: str) -> None:
+    """Check that the executor with the spec `text` can be opened, before anything is written for it.
+
+    Raises:
+        SettingsError, FarfieldError: see `open_executor`.
+    """
+    if parse_executor(text).scheduler is not None:
+        with open_executor(text):
+            pass
+
+
 @contextmanager
 def _connect(address: str) -> Iterator[Any]:
     """Connect to the Dask scheduler at `address`; yields the client."""

@@ -12,7 +12,7 @@ from ...errors import FarfieldError, FileError
 from ...files.file_access import convert_os_errors
 from ...files.sealed_files import validate_or_remove, write_sealed
 from ...geometry.placements import GeographicFrame
-from ...jobs.executors import parse_executor
+from ...jobs.executors import check_executor
 from ...jobs.heartbeat import take_over
 from ...jobs.job_folder import open_job_folder, remove_temporary_files
 from ...jobs.progress import Progress, StageClock, Steps, subprogress
@@ -85,7 +85,7 @@ def build_terrain(
         FarfieldError: a worker fails twice.
     """
     check_target(out)
-    parse_executor(settings.executor)
+    check_executor(settings.executor)
     clock = StageClock()
     header = _create_header(field, settings, has_texture=bool(images))
     textures = plan_textures(field, header.tree, images, settings)
