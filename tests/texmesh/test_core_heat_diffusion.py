@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import shapes
+from farfield.addon.core.errors import GeometryError
 from farfield.addon.core.geometry.edges import find_edges
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import run_to_end
@@ -14,7 +15,7 @@ from farfield.addon.core.texmesh.scale_space.analysis import (
     mollify_lengths,
     triangle_areas,
 )
-from farfield.addon.core.texmesh.scale_space.diffusion import build_levels, choose_times, diffuse, find_aggregates
+from farfield.addon.core.texmesh.scale_space.diffusion import build_levels, choose_times, diffuse, find_aggregates, search_last_sigma
 
 
 def laplacian_and_masses(mesh: TriangleMesh):
@@ -144,3 +145,11 @@ def test_mean_curvature_of_known_shapes():
     np.testing.assert_allclose(integrate_mean_curvature(ball.vertices, inside, find_edges(inside)).sum(), -4.0 * np.pi, rtol=2e-3)
     flat = shapes.sheet(5)
     np.testing.assert_allclose(integrate_mean_curvature(flat.vertices, flat.triangles, find_edges(flat.triangles)), 0.0, atol=1e-12)
+
+
+def test_a_system_that_is_singular_is_one_sentence():
+    mesh = shapes.sphere(6)
+    laplacian, masses = laplacian_and_masses(mesh)
+    levels = build_levels(0.0 * laplacian, 0.0 * masses, mesh.vertices, 0.5, 2.0)
+    with pytest.raises(GeometryError, match="triangles are tiny compared to its size"):
+        search_last_sigma(levels, np.zeros((len(masses), 1)), np.ones(1), 0.25, 1.0)

@@ -23,10 +23,14 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from ...arrays import TINY
+from ...errors import GeometryError
 from ...jobs.progress import Progress, Steps
 from .features import SCALES
 
 GROWTHS = [Fraction(*pair) for pair in [(6, 5), (5, 4), (4, 3), (7, 5), (3, 2), (8, 5), (5, 3), (7, 4), (2, 1), (5, 2), (3, 1), (4, 1)]]
+UNSOLVABLE = (
+    "The mesh cannot be analyzed: most of its triangles are tiny compared to its size; delete vertices that are far away from the others."
+)
 MIN_STEPS, COARSE_STEPS = 2, 3  # per scale, on the mesh and on coarse levels
 
 
@@ -183,7 +187,10 @@ class _Solver:
 
 def _build_solver(level: Level, step: float) -> _Solver:
     system = (level.mass + step * level.laplacian).tocsc()
-    factor = splu(system, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    try:
+        factor = splu(system, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    except RuntimeError as error:  # It is singular in double precision.
+        raise GeometryError(UNSOLVABLE) from error
     return _Solver(factor, level, step)
 
 
