@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from farfield.addon.bridge.bdam import objects as terrain_objects
-from farfield.addon.bridge.bdam.materials import LEVEL_ATTRIBUTE, TEXTURE_KEY, remove_unused
+from farfield.addon.bridge.bdam.materials import LEVEL_ATTRIBUTE, TEXTURE_KEY, USED_KEY, mark_used, remove_unused
 from farfield.addon.bridge.bdam.objects import SceneTerrain, TerrainChange
 from farfield.addon.bridge.geometry.mesh_arrays import read_attribute, read_loop_vertices, read_positions, read_uvs
 from farfield.addon.core.bdam.settings import ViewSettings
@@ -158,6 +158,19 @@ def test_a_move_fills_only_changed_tiles_and_reuses_meshes(folder):
     assert {item.name for item in bpy.data.images} == {
         node.image.name for tile in terrain.tiles().values() for node in tile.data.materials[0].node_tree.nodes if node.type == "TEX_IMAGE"
     }
+
+
+def test_materials_with_damaged_properties_can_be_removed(folder):
+    create(folder)
+    for value in (float("inf"), "text", [1.0, 2.0], -1, 2**31 - 1, None):
+        material = bpy.data.materials.new("Unused")
+        material[TEXTURE_KEY] = "tile"
+        if value is not None:
+            material[USED_KEY] = value
+    mark_used([bpy.data.materials["Unused"]])
+    assert 0 < bpy.data.materials["Unused"][USED_KEY] < 2**31 - 1
+    remove_unused(0, 1000)
+    assert not [item for item in bpy.data.materials if item.name.startswith("Unused")]
 
 
 def test_a_rotated_and_scaled_root_is_the_same_view(folder):

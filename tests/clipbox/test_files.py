@@ -296,6 +296,7 @@ class TestErrors:
             ("notes.txt", b"hello", "its name must end in one of .*.nii.gz, .*.npy"),
             ("empty.nii", b"", 'The file ".*empty.nii" is empty'),
             ("short.npy", b"\x93NUMPY\x01\x00v\x00{'descr'", "cannot be read as a NumPy array"),
+            ("archive.npy", b"PK\x03\x04" + bytes(20), "cannot be read as a NumPy array"),
             ("pickle.npy", np.array([{}, {}], object), "not an array of numbers"),
             ("line.npy", np.arange(5.0), "an array with 1 axes; heights have 2, voxels 3"),
             ("complex.npy", np.ones((4, 4), complex), "samples of type complex128"),

@@ -23,6 +23,7 @@ MAP_COLORS = (  # colors by height: fraction of the height range and scene-linea
     (0.75, (0.24, 0.13, 0.08)), (0.9, (0.55, 0.52, 0.5)), (1.0, (0.9, 0.9, 0.92)),
 )  # fmt: skip
 TEXTURE_KEY = "farfield_bdam_texture"  # custom property of materials and images: the store, and the number of the tile
+MAX_USES = 2**31 - 2  # The custom property stores larger numbers as floats.
 USED_KEY = "farfield_bdam_used"  # custom property of materials: counts up with every use
 MAX_UNUSED = 64  # materials of texture tiles that are kept without users
 MAX_REMOVED = 8  # unused materials that are removed at a time
@@ -154,9 +155,15 @@ class TextureMaterials:
         return f"{self._identity}#{number}"
 
 
+def _last_use(material: bpy.types.Material) -> int:
+    """Return the number of the last use of a material; 0 if the custom property is missing or has another value."""
+    number = material.get(USED_KEY)
+    return number if isinstance(number, int) and 0 <= number < MAX_USES else 0
+
+
 def mark_used(materials: list[bpy.types.Material]) -> None:
     """Take note that materials are shown now."""
-    last = max((int(item.get(USED_KEY, 0)) for item in bpy.data.materials if TEXTURE_KEY in item), default=0)
+    last = max((_last_use(item) for item in bpy.data.materials if TEXTURE_KEY in item), default=0)
     for material in materials:
         material[USED_KEY] = last + 1
 
@@ -164,11 +171,13 @@ def mark_used(materials: list[bpy.types.Material]) -> None:
 def remove_unused(max_unused: int = MAX_UNUSED, max_removed: int = MAX_REMOVED) -> None:
     """Remove the materials of texture tiles, and their images, that have not been used for the longest time."""
     unused = [item for item in bpy.data.materials if TEXTURE_KEY in item and item.users == 0 and item.library is None]
-    unused.sort(key=lambda item: int(item.get(USED_KEY, 0)))
+    unused.sort(key=_last_use)
     removed = unused[: max(len(unused) - max_unused, 0)][:max_removed]
-    keys = {item[TEXTURE_KEY] for item in removed}
+    keys = {str(item[TEXTURE_KEY]) for item in removed}
     bpy.data.batch_remove(removed)
-    bpy.data.batch_remove([item for item in bpy.data.images if item.get(TEXTURE_KEY) in keys and item.users == 0 and item.library is None])
+    bpy.data.batch_remove(
+        [item for item in bpy.data.images if str(item.get(TEXTURE_KEY)) in keys and item.users == 0 and item.library is None]
+    )
 
 
 def _pack_image(name: str, content: bytes, key: str, is_data: bool = False) -> bpy.types.Image:

@@ -1,6 +1,7 @@
 """NumPy arrays in files: .npy files, and windows of arrays that a file holds row by row without compression."""
 
 import tokenize
+import zipfile
 from pathlib import Path
 from typing import BinaryIO
 
@@ -10,7 +11,7 @@ from ..errors import FileError
 from .file_access import convert_os_errors
 
 # What numpy.load raises for headers that are no Python literals, and for sizes that the file does not have.
-NUMPY_ERRORS = (EOFError, OverflowError, SyntaxError, TypeError, ValueError, tokenize.TokenError)
+NUMPY_ERRORS = (EOFError, OverflowError, SyntaxError, TypeError, ValueError, tokenize.TokenError, zipfile.BadZipFile)
 MAX_HEADER_BYTES = 1 << 16  # NumPy refuses longer headers of .npy files, but reads them first.
 
 
