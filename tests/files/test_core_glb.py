@@ -191,3 +191,9 @@ def test_unusable_meshes_and_images_are_refused():
         encode_one(GlbPrimitive(points, triangle, material=3))
     with pytest.raises(FileError, match="neither PNG nor JPEG"):
         encode_one(GlbPrimitive(points, triangle), (b"GIF89a",))
+
+
+def test_a_transformation_that_is_not_finite_is_refused():
+    triangle = GlbMesh("mesh", (GlbPrimitive(np.eye(3), np.array([[0, 1, 2]])),))
+    with pytest.raises(GeometryError, match="not finite; reset transformations"):
+        encode_glb(GlbScene((GlbNode("moved", 0, np.diag([np.inf, 1.0, 1.0, 1.0])),), (triangle,), (), ()), False)

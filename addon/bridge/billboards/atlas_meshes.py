@@ -14,6 +14,7 @@ import numpy as np
 from ...core.arrays import TINY
 from ...core.billboards.cloud import Level
 from ...core.geometry.mesh import connected_components
+from ...core.geometry.transforms import is_mirroring
 from ..geometry.evaluated_mesh import EvaluatedMesh
 from ..geometry.mesh_arrays import write_attribute, write_triangles
 from ..geometry.meshes import Source, find_material
@@ -89,7 +90,7 @@ class DrawnTriangles:
     @property
     def corner_order(self) -> np.ndarray:
         """(K, 3) corner indices of every triangle in the order that makes it face outwards, reversed in mirrored instances."""
-        mirrored = np.linalg.det(self.matrices[:, :3, :3]) < 0.0
+        mirrored = is_mirroring(self.matrices)
         return np.where(mirrored[self.instances][:, None], [2, 1, 0], [0, 1, 2])
 
     def reorder_corners(self, corners: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ import mathutils
 import numpy as np
 
 from ...core.errors import FarfieldError, GeometryError
+from ...core.geometry.transforms import is_mirroring
 from ..geometry import meshes
 from ..geometry.joined_meshes import find_frame
 from ..objects import temporarily_visible
@@ -105,7 +106,7 @@ def _transform_mesh(mesh: bpy.types.Mesh, matrix: np.ndarray) -> None:
     """Transform a mesh by a matrix (4, 4); mirrored faces keep their fronts outside."""
     if not np.array_equal(matrix, np.eye(4)):
         mesh.transform(mathutils.Matrix(matrix.tolist()))
-        if np.linalg.det(matrix) < 0.0:
+        if is_mirroring(matrix):
             mesh.flip_normals()
 
 

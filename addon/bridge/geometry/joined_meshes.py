@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 
 from ...core.errors import GeometryError
-from ...core.geometry.transforms import transform_points
+from ...core.geometry.transforms import is_mirroring, transform_points
 from .evaluated_mesh import EvaluatedMesh, MaterialKey, MeshAttribute
 from .meshes import SourceInstance, explain_no_faces, read_instances
 
@@ -54,7 +54,7 @@ def join_instances(instances: Sequence[SourceInstance], to_object: np.ndarray) -
     to_object: (4, 4), from the world to the space of the result. Mirrored instances keep their fronts outside.
     """
     matrices = [to_object @ instance.matrix for instance in instances]
-    is_mirrored = [bool(np.linalg.det(matrix[:3, :3]) < 0.0) for matrix in matrices]
+    is_mirrored = [bool(is_mirroring(matrix)) for matrix in matrices]
     parts = [instance.mesh for instance in instances]
     materials: dict[MaterialKey | None, int] = {}
     slots = [np.array([materials.setdefault(key, len(materials)) for key in mesh.materials], np.int32) for mesh in parts]

@@ -9,7 +9,7 @@ import numpy as np
 from ...core.errors import GeometryError
 from ...core.geometry.mesh import MAX_COORDINATE, PointCloud, TriangleMesh, check_points, fingerprint
 from ...core.geometry.points import estimate_normals, splat_radii
-from ...core.geometry.transforms import frames_from_normals, transform_points
+from ...core.geometry.transforms import frames_from_normals, is_mirroring, transform_points
 from ...core.messages import format_count
 from .evaluated_mesh import EvaluatedMesh, MaterialKey, MeshAttribute, read_evaluated_mesh
 
@@ -41,7 +41,7 @@ class SourceInstance:
     @property
     def is_mirrored(self) -> bool:
         """Whether the matrix mirrors the mesh; its triangles then have the opposite winding in the source."""
-        return bool(np.linalg.det(self.matrix[:3, :3]) < 0.0)
+        return bool(is_mirroring(self.matrix))
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import bpy
 import numpy as np
 
+from ...core.geometry.transforms import is_mirroring
 from ...core.packages.material_sources import MaterialSource
 from ...core.texmesh.textured_mesh import TexturedMesh
 from ..geometry.joined_meshes import find_frame
@@ -88,7 +89,7 @@ def _to_world(mesh: TexturedMesh, item: bpy.types.Object) -> TexturedMesh:
     """Return `mesh` of an object turned and scaled as in the world; faces of mirrored objects still have their front outside."""
     matrix = find_frame(np.array(world_matrix(item), np.float64))[:3, :3]
     turned = replace(mesh, vertices=mesh.vertices @ matrix.T)
-    if np.linalg.det(matrix) >= 0.0:
+    if not is_mirroring(matrix):
         return turned
     backwards = {name: np.ascontiguousarray(getattr(mesh, name)[:, ::-1]) for name in ("triangles", "wedge_triangles", "sources")}
     return replace(turned, **backwards)

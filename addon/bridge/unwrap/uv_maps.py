@@ -8,7 +8,7 @@ import numpy as np
 
 from ...core.errors import GeometryError
 from ...core.geometry.mesh import TriangleMesh
-from ...core.geometry.transforms import transform_points
+from ...core.geometry.transforms import is_mirroring, transform_points
 from ..geometry.mesh_arrays import read_attribute, read_loop_triangles, read_loop_vertices, read_positions, read_uvs, read_values, write_uvs
 from ..geometry.meshes import describe_type, is_collection_instance, is_in_view_layer
 from ..objects import find_by_uid
@@ -68,7 +68,7 @@ def read_uv_target(item: bpy.types.Object, vertex_group: str | None) -> UvTarget
     matrix = np.array(item.matrix_world, np.float64)
     with np.errstate(invalid="ignore"):  # A later check reports coordinates that are not finite.
         positions = transform_points(matrix, read_positions(mesh))
-        is_mirrored = np.linalg.det(matrix[:3, :3]) < 0.0
+        is_mirrored = is_mirroring(matrix)
     return UvTarget(
         mesh_uid=mesh.session_uid,
         object_name=item.name,

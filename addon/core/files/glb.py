@@ -300,7 +300,10 @@ def flip_v(uvs: np.ndarray) -> np.ndarray:
 
 
 def _join_chunks(document: dict[str, Any], binary: bytes) -> bytes:
-    text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode("ascii")
+    try:
+        text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode("ascii")
+    except ValueError as error:
+        raise GeometryError("Numbers of objects or materials are not finite; reset transformations and colors.") from error
     text += b" " * (-len(text) % 4)
     length = 12 + 8 + len(text) + 8 + len(binary)
     if length > MAX_FILE_BYTES:

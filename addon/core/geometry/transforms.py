@@ -9,6 +9,12 @@ def transform_points(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.asarray(points, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
 
 
+def is_mirroring(matrix: np.ndarray) -> np.ndarray:
+    """Return whether affine matrices (..., 4, 4) or (..., 3, 3) exchange the front and the back of faces; not if they are not finite."""
+    with np.errstate(invalid="ignore"):
+        return np.linalg.det(np.asarray(matrix, np.float64)[..., :3, :3]) < 0.0
+
+
 def inverse_transform_points(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return the points (N, 3) float64 that an affine matrix (4, 4) transforms to `points` (N, 3) of any floating type.
 
