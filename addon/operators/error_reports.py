@@ -10,6 +10,8 @@ from ..core.errors import Cancelled, FarfieldError
 from ..core.files.defect_log import defect_message, write_defect_log
 from ..core.messages import single_line
 
+BUNDLED_MODULES = {"PIL", "fast_simplification", "scipy", "tifffile", "threadpoolctl", "xatlas"}  # the wheels in the zip
+
 
 def describe_error(error: Exception, title: str) -> str:
     """Return one sentence about `error`, which is being handled, on one line. A defect is written to a log, which the sentence names.
@@ -20,6 +22,10 @@ def describe_error(error: Exception, title: str) -> str:
         return single_line(error)
     if isinstance(error, MemoryError):
         return f"{title} needs more memory than is free; close other programs or choose smaller settings."
+    if isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] in BUNDLED_MODULES:
+        return (
+            f"{title} needs the module {error.name}, which this Blender's Python cannot load; install Farfield's zip in Blender 4.5 to 5.2."
+        )
     return single_line(defect_message(title, error, write_defect_log(title, error, (f"Blender {blender_version()}",))))
 
 

@@ -77,6 +77,14 @@ def test_missing_memory_is_bad_input():
     assert types == {"ERROR"} and "memory" in message and "defect" not in message
 
 
+def test_a_missing_wheel_is_named():
+    """Blender of a Linux distribution may have a Python for which the zip has none."""
+    _, [(types, message)] = run(ModuleNotFoundError("No module named 'PIL'", name="PIL"))
+    assert types == {"ERROR"} and "needs the module PIL" in message and "defect" not in message
+    _, [(_, message)] = run(ModuleNotFoundError("No module named 'x'", name="x"))
+    assert "defect" in message
+
+
 @pytest.mark.parametrize("error", [ZeroDivisionError("division\nby zero"), KeyError("name"), RuntimeError()])
 def test_a_defect_is_one_sentence_and_its_log_has_the_traceback(error):
     result, [(types, message)] = run(error)
