@@ -39,24 +39,8 @@ def open_scene(path: Path, files: RunFiles | None = None) -> None:
         FileError: the file does not exist or is empty, its extension is unknown, Blender cannot read it, or a file of the scene would be
             replaced.
     """
-    check_readable(path)
-    importers = _importers()
-    extension = path.suffix.lower()
-    if extension != ".blend" and extension not in importers:
-        raise FileError(f'"{path.name}" has the extension "{extension}"; Farfield reads .blend {" ".join(importers)}.')
-    if path.stat().st_size == 0:  # Blender 5.2 fails to map it into memory
-        raise FileError(f'"{path}" is empty; export it again.')
-    if extension == ".ply":
-        check_ply_header(path)
-    try:
-        with mute_stderr():  # the operators also raise what they print
-            if extension == ".blend":
-                bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False)
-            else:
-                bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-                importers[extension](filepath=str(path))
-    except RuntimeError as error:  # raised by Blender's operators
-        raise FileError(f'Blender cannot read "{path}": {blender_error_message(error)}') from error
+    _check_file(path)
+    _read(path, path)
     if files is not None:
         files.check_scene(path)
 
@@ -64,12 +48,36 @@ def open_scene(path: Path, files: RunFiles | None = None) -> None:
 def open_near_origin(path: Path, files: RunFiles | None = None) -> np.ndarray | None:
     """Open a scene as `open_scene` does. A mesh file with coordinates that are too large for Blender is moved to the origin: return the
     position (3,) from where, None for other files. Raises FileError."""
-    if path.suffix.lower() == ".ply":
-        check_readable(path)
-        check_ply_header(path)
+    _check_file(path)
     with near_origin(path) as (near, origin):
-        open_scene(near, files)
+        _read(near, path)
+    if files is not None:
+        files.check_scene(path)
     return origin
+
+
+def _check_file(path: Path) -> None:
+    """Raise FileError if Blender cannot read `path`, as far as its name, its size and the header of a .ply file tell."""
+    check_readable(path)
+    if path.suffix.lower() not in (".blend", *_importers()):
+        raise FileError(f'"{path.name}" has the extension "{path.suffix.lower()}"; Farfield reads .blend {" ".join(_importers())}.')
+    if path.stat().st_size == 0:  # Blender 5.2 fails to map it into memory
+        raise FileError(f'"{path}" is empty; export it again.')
+    if path.suffix.lower() == ".ply":
+        check_ply_header(path)
+
+
+def _read(path: Path, given: Path) -> None:
+    """Open or import a file, which stands for the file `given` of the user. Raises FileError."""
+    try:
+        with mute_stderr():  # the operators also raise what they print
+            if path.suffix.lower() == ".blend":
+                bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False)
+            else:
+                bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+                _importers()[path.suffix.lower()](filepath=str(path))
+    except RuntimeError as error:  # raised by Blender's operators
+        raise FileError(f'Blender cannot read "{given}": {blender_error_message(error)}') from error
 
 
 def describe_moved(origin: np.ndarray | None) -> str:

@@ -169,6 +169,16 @@ def test_files_of_the_scene_are_not_replaced(command, name, scene_file, monkeypa
     assert "a file of the scene" in is_refused(command, place, paths)
 
 
+def test_materials_of_a_mesh_that_is_moved_to_the_origin_are_not_replaced(tmp_path, extension):
+    """Blender reads a copy of such a file from another folder."""
+    positions = "".join(f"v {500000 + x} {4500000 + y} 0\n" for x, y in ((0, 0), (1, 0), (1, 1), (0, 1)))
+    (tmp_path / "far.obj").write_text(f"mtllib colors.mtl\n{positions}f 1 2 3 4\n")
+    (tmp_path / "colors.mtl").write_text("newmtl Own\n")
+    paths = {"the input": tmp_path / "far.obj", "--out": tmp_path / "new.blend", "--report": tmp_path / "colors.mtl"}
+    for command in ("unwrap", "billboards"):
+        assert "a file of the scene" in is_refused(command, tmp_path, paths)
+
+
 def test_files_that_inputs_name(tmp_path):
     (tmp_path / "a.obj").write_text("# x\nmtllib my colors.mtl\nv 0 0 0\n")
     (tmp_path / "a.gltf").write_text('{"buffers": [{"uri": "a%20b.bin"}, {"uri": "data:,x"}, {}]}')

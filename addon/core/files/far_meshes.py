@@ -1,9 +1,7 @@
 """Vertices of .obj and .ply files whose coordinates are too large for the single precision of Blender's importers: read with all their
 digits, and written near the origin."""
 
-import os
 import re
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,7 +10,8 @@ from typing import BinaryIO
 import numpy as np
 
 from ..geometry.local_origin import find_local_origin
-from .file_access import check_readable, convert_os_errors
+from .file_access import check_readable, convert_os_errors, has_companion
+from .temporary_folders import temporary_folder
 
 EXTENSIONS = (".obj", ".ply")
 FIRST_VERTICES = 1000  # Nearly all files are known to be near the origin by these.
@@ -33,9 +32,9 @@ def near_origin(path: Path) -> Iterator[tuple[Path, np.ndarray | None]]:
     if origin is None:
         yield path, None
         return
-    with tempfile.TemporaryDirectory() as folder:
-        write_moved(path, Path(folder, path.name), origin)
-        yield Path(folder, path.name), origin
+    with temporary_folder() as folder:
+        write_moved(path, folder / path.name, origin)
+        yield folder / path.name, origin
 
 
 def find_file_origin(path: Path) -> np.ndarray | None:
@@ -88,7 +87,7 @@ def _copy_materials(path: Path, name: str, folder: Path) -> None:
     for line in path.with_name(name).read_text(encoding="utf-8", errors="surrogateescape").splitlines():
         words = line.split(" ")
         names = [(words[:first], path.with_name(" ".join(words[first:]))) for first in range(1, len(words)) if words[first]]
-        image = next(((before, found) for before, found in names if os.path.isfile(found)), None)  # noqa: PTH113 - long names
+        image = next(((before, found) for before, found in names if has_companion(found)), None)
         lines.append(line if image is None else " ".join([*image[0], image[1].absolute().as_posix()]))
     (folder / name).write_text("\n".join(lines) + "\n", encoding="utf-8", errors="surrogateescape")
 
