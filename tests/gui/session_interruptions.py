@@ -14,27 +14,13 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not add the script's folder
 
 from session import FOLDER, create_tree, current_job, results, start_session
+from session_texmesh import create_ball
 from session_unwrap import create_bumpy_ball
 
 from lib import window_session
 
 START_SECONDS, END_SECONDS = 20.0, 90.0
 DEFECTS = "farfield-defect-*"
-
-
-def textured_ball() -> None:
-    """Add a sphere with an image."""
-    bpy.ops.mesh.primitive_uv_sphere_add(segments=96, ring_count=48)
-    image = bpy.data.images.new("Noise", 64, 64)
-    image.pixels.foreach_set(np.random.default_rng(0).random(4 * 64 * 64).astype(np.float32))
-    image.pack()
-    material = bpy.data.materials.new("Paint")
-    if material.node_tree is None:
-        material.use_nodes = True
-    node = material.node_tree.nodes.new("ShaderNodeTexImage")
-    node.image = image
-    material.node_tree.links.new(node.outputs["Color"], material.node_tree.nodes["Principled BSDF"].inputs["Base Color"])
-    bpy.context.object.data.materials.append(material)
 
 
 def damaged_image() -> None:
@@ -58,7 +44,7 @@ def store_properties() -> dict:
 JOBS: dict[str, tuple[Callable[[], object], Callable[[], dict]]] = {
     "billboards_build": (create_tree, lambda: {"error": 2.0}),
     "unwrap": (create_bumpy_ball, dict),
-    "texmesh_levels": (textured_ball, dict),
+    "texmesh_levels": (create_ball, dict),
     "restore_image": (damaged_image, lambda: {"image": "Image", "mask": "alpha"}),
     "clipbox_create": (lambda: None, lambda: {"boxes": 6, "resolution": 64}),
     "bdam_build": (heights, store_properties),
@@ -83,7 +69,7 @@ def undo() -> None:
 
 
 if find_spec("PIL") is not None:  # Blender of a distribution may have another Python than our wheels.
-    JOBS["packages_export"] = (textured_ball, lambda: {"folder": str(FOLDER / "package")})
+    JOBS["packages_export"] = (create_ball, lambda: {"folder": str(FOLDER / "package")})
 INTERRUPTIONS = {"delete": delete_everything, "load": load_another_file, "undo": undo}
 
 

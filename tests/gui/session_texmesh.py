@@ -158,4 +158,5 @@ def viewport_center(user: UserInput) -> tuple[int, int]:
     return region.x + region.width // 2, region.y + region.height // 2
 
 
-start_session(session)
+if __name__ == "__main__":
+    start_session(session)

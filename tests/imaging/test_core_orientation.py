@@ -5,7 +5,7 @@ import io
 import numpy as np
 import pytest
 
-from farfield.addon.core.imaging.orientation import ORIENTATIONS, from_upright
+from farfield.addon.core.imaging.orientation import ORIENTATIONS, from_upright, to_upright
 
 Image = pytest.importorskip("PIL.Image")
 ImageOps = pytest.importorskip("PIL.ImageOps")
@@ -21,3 +21,4 @@ def test_the_upright_image_becomes_the_stored_one(orientation):
     image.save(file, "PNG", exif=tags)
     upright = np.asarray(ImageOps.exif_transpose(Image.open(file)))
     assert np.array_equal(from_upright(upright[::-1], orientation)[::-1], stored)
+    assert np.array_equal(to_upright(stored[::-1], orientation)[::-1], upright)

@@ -6,24 +6,19 @@ says that its program has applied it, by an exchange of width and height, it is 
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path, PurePosixPath
 
 import numpy as np
 
 from ...core.errors import FileError, ImageError
 from ...core.geometry.lenses import PhotoCamera
+from ...core.imaging.orientation import SWAPPED, from_upright, to_upright
 from ...core.photos.photographs.photograph import Photograph
 from ..imaging.image_files import read_image_file, read_image_size
 from .photo_folders import PhotoFolder
 
 MIN_USABLE = 0.5  # gray level of a mask from which a pixel is usable
-TURNS = {  # by orientation in the EXIF data, those that exchange width and height: arrays, row 0 at the top, to upright ones
-    5: lambda stored: stored.swapaxes(0, 1),
-    6: lambda stored: np.rot90(stored, -1),
-    7: lambda stored: stored[::-1, ::-1].swapaxes(0, 1),
-    8: np.rot90,
-}
-INVERSES = {5: 5, 6: 8, 7: 7, 8: 6}
 
 
 def read_photograph(camera: PhotoCamera, folder: PhotoFolder, masks: PhotoFolder | None = None) -> Photograph:
@@ -49,10 +44,10 @@ def _read(camera: PhotoCamera, path: Path) -> tuple[Photograph, Callable[[np.nda
     orientation = image.spec.get_int_attribute("Orientation", 1)
     is_8_bit = image.stored.dtype == np.uint8 and not image.storage.has_alpha
     pixels, mask = image.stored[::-1] if is_8_bit else image.pixels, None
-    turn = TURNS.get(INVERSES.get(orientation, 1))
-    if orientation in TURNS and camera.lens.size == pixels.shape[:2] != pixels.shape[1::-1]:
-        turn = TURNS[orientation]
-        pixels = turn(pixels[::-1])[::-1]
+    turn = partial(from_upright, orientation=orientation) if orientation in SWAPPED else None
+    if turn is not None and camera.lens.size == pixels.shape[:2] != pixels.shape[1::-1]:
+        turn = partial(to_upright, orientation=orientation)
+        pixels = turn(pixels)
     if image.storage.has_alpha:
         mask = pixels[..., -1] >= 0.5
         pixels = pixels[..., :-1]
@@ -88,7 +83,7 @@ def _apply_mask(photograph: Photograph, path: Path, turn: Callable[[np.ndarray],
     usable = colors.mean(axis=2) >= MIN_USABLE
     height, width = photograph.pixels.shape[:2]
     if turn is not None and usable.shape == (width, height) != (height, width):
-        usable = turn(usable[::-1])[::-1]
+        usable = turn(usable)
     if usable.shape != (height, width):
         raise ImageError(
             f'The mask "{path}" has {usable.shape[1]} x {usable.shape[0]} pixels, but its photograph {width} x {height}; '

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 
 from ...core.errors import FileError
+from ...core.files.file_access import has_companion
 from ..imaging.image_files import EXTENSIONS
 
 RAW_EXTENSIONS = ("dng", "cr2", "cr3", "nef", "arw", "raf", "orf", "rw2", "pef", "srw", "3fr", "iiq", "raw")
@@ -78,7 +79,7 @@ def strip_extension(name: str) -> str:
 
 def _find_exactly(folder: Path, name: str) -> Path | None:
     path = folder / name
-    return path if os.path.isfile(path) else None  # noqa: PTH113 - Path.is_file raises for forbidden folders and long names
+    return path if has_companion(path) else None
 
 
 def _photograph_names(name: str) -> list[str]:
@@ -103,7 +104,7 @@ def _list_files(folder: Path) -> dict[str, str]:
         names = sorted(os.listdir(folder), reverse=True)  # noqa: PTH208 - no paths are needed
     except (OSError, ValueError):
         return {}
-    return {_comparison_key(name): name for name in names if os.path.isfile(folder / name)}  # noqa: PTH113
+    return {_comparison_key(name): name for name in names if has_companion(folder / name)}
 
 
 def _comparison_key(name: str) -> str:

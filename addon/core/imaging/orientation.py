@@ -7,6 +7,11 @@ ORIENTATIONS = range(1, 9)
 SWAPPED = (5, 6, 7, 8)  # orientations that exchange rows and columns
 
 
+def to_upright(image: np.ndarray, orientation: int) -> np.ndarray:
+    """Return an image (H, W, ...), row 0 at the bottom, that is stored with `orientation`, 1 to 8, as it is shown upright."""
+    return from_upright(image, {6: 8, 8: 6}.get(orientation, orientation))  # The other orientations are their own inverses.
+
+
 def from_upright(image: np.ndarray, orientation: int) -> np.ndarray:
     """Return an image (H, W, ...), row 0 at the bottom, that is shown upright, as it is stored with `orientation`, 1 to 8."""
     image = image[::-1]  # the tag is about images with row 0 at the top

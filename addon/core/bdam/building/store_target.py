@@ -46,7 +46,7 @@ def check_target(out: Path) -> None:
         if others:
             names = ", ".join(f'"{name}"' for name in others[:MAX_NAMED]) + (", ..." if len(others) > MAX_NAMED else "")
             raise FileError(f'"{out}" contains other files ({names}); choose an empty or a new folder for the terrain.')
-        check_writable(target.parent / STRUCTURE_FILE if not target.is_dir() else target / STRUCTURE_FILE)
+        check_writable(target / STRUCTURE_FILE)
         work = work_folder_path(out)
         if not _is_work_folder(work):
             raise FileError(f'"{work}" contains other files, but the build needs that folder; rename it, or choose another name.')
