@@ -30,6 +30,7 @@ from farfield.addon.core.billboards.settings import BillboardSettings, BuildOpti
 from farfield.addon.core.errors import FileError, GeometryError
 from farfield.addon.core.files.outputs import Output, check_outputs, is_named_by
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
+from farfield.addon.core.messages import join_sentences
 from farfield.addon.core.settings import add_flags
 from farfield.addon.operators.billboards.job import BillboardJob, prepare_job
 from farfield.addon.operators.job_run import run_job
@@ -82,7 +83,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
         write_output(out, job)
     if given.report is not None:
         command_line.write_report(given.report.absolute(), build_report(job, clock))
-    return " ".join(filter(None, [summary, moved]))
+    return join_sentences([summary, moved])
 
 
 def prepare_input(path: Path | None, settings: BillboardSettings, options: BuildOptions) -> BillboardJob:

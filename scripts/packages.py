@@ -21,7 +21,7 @@ environment.import_farfield()
 import bpy
 
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
-from farfield.addon.core.messages import format_count
+from farfield.addon.core.messages import format_count, join_sentences
 from farfield.addon.core.packages.files import check_package_folder, read_package
 from farfield.addon.core.packages.package import PackageReport
 from farfield.addon.core.packages.settings import PackageSettings
@@ -90,7 +90,7 @@ def build(given: Namespace, line: command_line.ProgressLine) -> str:
             "peak_memory_mb": round(command_line.peak_memory_mb(), 1),
         }
         command_line.write_report(given.report.absolute(), report)
-    return " ".join(filter(None, [summary, moved]))
+    return join_sentences([summary, moved])
 
 
 def describe_package(report: PackageReport) -> dict[str, Any]:

@@ -36,7 +36,7 @@ from farfield.addon.core.geometry.lenses import PhotoCamera
 from farfield.addon.core.geometry.local_origin import describe_coarseness, describe_move
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import StageClock, run_to_end, subprogress
-from farfield.addon.core.messages import format_count
+from farfield.addon.core.messages import format_count, join_sentences
 from farfield.addon.core.photos.importers import read_camera_file
 from farfield.addon.core.photos.merging import merge
 from farfield.addon.core.photos.photo_texture import PhotoTexture
@@ -172,7 +172,7 @@ def merge_files(given: Namespace, settings: PhotosSettings, texture: Path, scrat
     notes.append(f"Not used: {', '.join(unused)}." if unused else "")
     holes = np.count_nonzero(result.holes) / max(np.count_nonzero(result.holes | (result.source >= 0)), 1)
     summary = f"Merged {format_count(len(cameras), 'photograph')} into {texture.name}; {holes:.1%} of the surface is in no photograph."
-    summary = " ".join([summary, *filter(None, notes)])
+    summary = join_sentences([summary, *notes])
     count = sum(each["problem"] is None for each in refined)
     summary = f"Refined {count} of {format_count(len(refined), 'camera')}. {summary}" if refined else summary
     return f"{summary} Skipped: {'; '.join(skipped)}." if skipped else summary

@@ -26,6 +26,7 @@ from farfield.addon.bridge.texmesh.glb_levels import level_outputs, write_levels
 from farfield.addon.bridge.texmesh.level_sets import read_level_set
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
+from farfield.addon.core.messages import join_sentences
 from farfield.addon.core.settings import add_flags
 from farfield.addon.core.texmesh.scale_space.features import ScaleMap
 from farfield.addon.core.texmesh.settings import AnalysisSettings, SceneSettings, TexmeshSettings
@@ -83,7 +84,7 @@ def make_levels(given: Namespace, line: command_line.ProgressLine) -> str:
     with clock.stage("write"):
         lacking = write_output(job, out, given)
     write_report(given, [{"name": name, **describe_chain(chain)} for name, chain in named_chains(job)], job.skipped, clock)
-    return " ".join(filter(None, [summary, moved, *lacking]))
+    return join_sentences([summary, moved, *lacking])
 
 
 def analyze(given: Namespace, line: command_line.ProgressLine) -> str:
@@ -102,7 +103,7 @@ def analyze(given: Namespace, line: command_line.ProgressLine) -> str:
     if given.plot is not None:
         write_plot(job, given.plot.absolute())
     write_report(given, [describe_map(name, scale_map) for name, scale_map in job.results], job.skipped, clock)
-    return " ".join(filter(None, [summary, moved]))
+    return join_sentences([summary, moved])
 
 
 def write_output(job: LevelsJob, out: Path, given: Namespace) -> list[str]:

@@ -23,6 +23,7 @@ import bpy
 from farfield.addon.bridge.unwrap.stretch_display import save_stretch_image
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
+from farfield.addon.core.messages import join_sentences
 from farfield.addon.core.settings import add_flags
 from farfield.addon.core.unwrap.settings import UnwrapSettings
 from farfield.addon.operators.job_run import run_job
@@ -77,7 +78,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
                 save_stretch_image(bpy.data.objects[first_target.object_name], temporary, STRETCH_IMAGE_RESOLUTION)
     if given.report is not None:
         command_line.write_report(given.report.absolute(), build_report(job, clock))
-    return " ".join(filter(None, [summary, moved, lacking]))
+    return join_sentences([summary, moved, lacking])
 
 
 def write_output(out: Path) -> str:

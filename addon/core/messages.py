@@ -4,8 +4,10 @@ Messages quote names of files and data-blocks, which may contain anything; `sing
 """
 
 import re
+from collections.abc import Iterable, Sequence
 
 NOT_PRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # Control characters and line separators.
+QUOTED_OR_NUMBER = re.compile(r'"([^"]*)"|\d[\d,.]*(?<=\d)')
 NOT_UNICODE = re.compile("[\ud800-\udfff]")  # Python decodes bytes that are not UTF-8 to these code points.
 
 
@@ -23,6 +25,23 @@ def format_bytes(count: int) -> str:
         if count >= size:
             return f"{count / size:,.3g} {unit}" if count < 1e3 * size else f"{count / size:,.0f} {unit}"
     return format_count(count, "byte")
+
+
+def join_sentences(sentences: Iterable[str | None]) -> str:
+    """Return the sentences on one line, without those that are empty and further ones that are equal. Of three or more that differ only in
+    quoted names and numbers, the first stands for all: "A" has no UV map (likewise "B" and 31 others)."""
+    alike: dict[str, dict[str, None]] = {}
+    for sentence in filter(None, sentences):
+        alike.setdefault(QUOTED_OR_NUMBER.sub("#", sentence), {})[sentence] = None
+    return " ".join(text for group in alike.values() for text in _merge_alike(list(group)))
+
+
+def _merge_alike(sentences: Sequence[str]) -> Sequence[str]:
+    """Return sentences that differ only in names and numbers as one, if there are three or more and each has a name of its own."""
+    names = list(dict.fromkeys(next((match[1] for match in QUOTED_OR_NUMBER.finditer(text) if match[1]), "") for text in sentences))
+    if len(sentences) < 3 or "" in names or len(names) < 3:
+        return sentences
+    return [f'{sentences[0].removesuffix(".")} (likewise "{names[1]}" and {format_count(len(names) - 2, "other")}).']
 
 
 def single_line(message: object) -> str:

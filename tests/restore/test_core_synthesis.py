@@ -243,11 +243,12 @@ class TestBadInput:
             (lambda image, mask: (image, mask, {"source_mask": mask[:, 1:]}), "The source mask has 39 x 30"),
             (lambda image, mask: (image, mask, {"barriers": mask[1:]}), "The barrier mask has 40 x 29"),
             (lambda image, mask: (image[:4], mask[:4], {}), "4 pixels|40 x 4 pixels"),
+            (lambda image, mask: (np.where(mask[..., None], image, np.float32(2e12)), mask, {}), "beyond 1e\\+12"),
             (lambda image, mask: (np.where(mask[..., None], image, np.float32(np.inf)), mask, {}), "NaN or infinite"),
             (lambda image, mask: (image, mask, {"source_mask": mask}), "Only 0 pixels"),
             (lambda image, mask: (image[..., :2], mask, {"is_normal_map": True}), "2 channels"),
         ],
-        ids=["empty", "full", "mask size", "source size", "barrier size", "small", "infinite", "no source", "normals"],
+        ids=["empty", "full", "mask size", "source size", "barrier size", "small", "huge", "infinite", "no source", "normals"],
     )
     def test_bad_input_is_one_sentence(self, change, words):
         image, mask, masks = change(noise((30, 40)), disk((30, 40), 6))

@@ -221,6 +221,10 @@ def lose_metal(nodes: Nodes) -> None:
     nodes.shader.inputs["Metallic"].default_value = 1.0
 
 
+def lose_sheen(nodes: Nodes) -> None:
+    nodes.shader.inputs["Sheen Weight"].default_value = 0.5
+
+
 def lose_a_second_image(nodes: Nodes) -> None:
     node = nodes.tree.nodes.new("ShaderNodeTexImage")
     node.image = checker_image("Dirt")
@@ -248,6 +252,7 @@ def lose_unknown_opacity(nodes: Nodes) -> None:
         (lose_color_changes, ("Hue/Saturation/Value",)),
         (lose_normals, ("Normal",)),
         (lose_metal, ("Metallic",)),
+        (lose_sheen, ("Sheen Weight",)),
         (lose_unknown_opacity, ("Layer Weight",)),
         (lose_a_second_image, ('the image "Dirt"',)),
         (lose_generated_coordinates, ("Generated coordinates",)),

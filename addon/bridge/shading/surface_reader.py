@@ -13,6 +13,14 @@ from .socket_sources import ScopedSocket, find_source
 
 COLOR_INPUTS = ("Base Color", "Color", "Emission Color")  # the first one that is linked counts
 TRANSPARENT = {"BSDF_TRANSPARENT", "HOLDOUT"}
+WEIGHTS = (
+    "Metallic",
+    "Subsurface Weight",
+    "Transmission Weight",
+    "Coat Weight",
+    "Sheen Weight",
+    "Thin Film Thickness",
+)  # of Principled BSDF
 MAX_SHADERS = 64  # mixed with each other
 WHITE = ColorProduct()
 
@@ -142,11 +150,11 @@ def _read_number(source: ScopedSocket) -> float | None:
 
 
 def _list_inputs(shader: bpy.types.Node, color_input: bpy.types.NodeSocket | None) -> list[str]:
-    """Return the names of the other inputs of a shader that something is linked to, or that make it a metal or a light."""
+    """Return the names of the other inputs of a shader that something is linked to, or whose weight is above 0."""
     linked = [item.name for item in shader.inputs if item.links and item != color_input and item.name != "Alpha"]
     if shader.type == "BSDF_PRINCIPLED":
-        metallic, strength, emission = (shader.inputs[name] for name in ("Metallic", "Emission Strength", "Emission Color"))
-        linked += ["Metallic"] if not metallic.links and metallic.default_value > 0.0 else []
+        strength, emission = (shader.inputs[name] for name in ("Emission Strength", "Emission Color"))
+        linked += [item.name for item in shader.inputs if item.name in WEIGHTS and not item.links and item.default_value > 0.0]
         is_light = not strength.links and strength.default_value > 0.0 and any(value > 0.0 for value in emission.default_value[:3])
         linked += ["Emission Color"] if is_light and not emission.links and color_input != emission else []
     return list(dict.fromkeys(linked))

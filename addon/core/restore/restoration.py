@@ -17,6 +17,7 @@ from .windows import Window, choose_areas, find_windows, group_windows
 
 MIN_SIDE = 2 * RADIUS + 1
 ROWS = 256  # rows of an image that are examined at once
+MAX_VALUE = 1e12  # Squares of larger values leave single precision soon.
 MIN_SOURCES = 64  # pixels with a neighborhood that may be copied
 
 
@@ -65,8 +66,8 @@ def restore(
     """Fill the masked pixels of `image`.
 
     Args:
-        image: (H, W, C) float32 with 1 to 4 channels, finite outside the mask. Colors are encoded for display (sRGB), so that errors
-            count as much in shadows as in highlights; data is used as it is.
+        image: (H, W, C) float32 with 1 to 4 channels, within `MAX_VALUE` outside the mask. Colors are encoded for display (sRGB), so that
+            errors count as much in shadows as in highlights; data is used as it is.
         mask: (H, W) bool, true where pixels are missing.
         settings: see `RestoreSettings`.
         source_mask: (H, W) bool, true where texture may be copied from; everywhere outside the mask by default.
@@ -76,8 +77,8 @@ def restore(
         keep_stages: return the images of the stages as well: first_fill, low, low_filled, high, high_filled.
 
     Raises:
-        ImageError: nothing or everything is masked, sizes differ, the image is too small, values are not finite, too few pixels are left to
-            copy texture from, or a normal map has less than three channels.
+        ImageError: nothing or everything is masked, sizes differ, the image is too small, values are not finite or huge, too few pixels
+            are left to copy texture from, or a normal map has less than three channels.
     """
     if is_normal_map and image.shape[2] < 3:
         raise ImageError(f"The normal map has {image.shape[2]} channels; three are necessary.")
@@ -181,8 +182,8 @@ def _check(image: np.ndarray, mask: np.ndarray, others: dict[str, np.ndarray | N
     if mask.all():
         raise ImageError("Every pixel is masked; leave some of the image to copy from.")
     for rows in slices(height, ROWS):
-        if not np.isfinite(image[rows][~mask[rows]]).all():
-            raise ImageError("The image has NaN or infinite pixels outside the mask; mask them, too.")
+        if not (np.abs(image[rows][~mask[rows]]) <= MAX_VALUE).all():
+            raise ImageError(f"The image has NaN or infinite pixels, or some beyond {MAX_VALUE:g}, outside the mask; mask them, too.")
 
 
 def _find_range(image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -17,7 +17,7 @@ from ...core.bdam.view.freezing import FrozenMesh, choose_path_cut, describe_lim
 from ...core.errors import FarfieldError, GeometryError, SettingsError
 from ...core.geometry.viewers import Viewer
 from ...core.jobs.progress import Progress, Steps, subprogress
-from ...core.messages import format_count
+from ...core.messages import format_count, join_sentences
 from .. import follow_handlers, properties, start_job
 from ..engine_cache import cache
 from ..view_following import ActiveTerrainOperator
@@ -120,7 +120,7 @@ class FreezePathJob:
             self.object_names, message = create_objects(self.terrain, meshes, self.settings, find_material)
             remove_unused()
             sentences = [message, f"Good for {format_count(len(self.frames), 'frame')}.", describe_limit(textures, self.view_settings)]
-            return " ".join(filter(None, [*sentences, *damages[:1]]))
+            return join_sentences([*sentences, *damages[:1]])
         finally:
             store.close()
 

@@ -15,7 +15,7 @@ from ...core.bdam.settings import GroundSettings
 from ...core.bdam.store.terrain_store import TerrainStore
 from ...core.errors import FileError, GeometryError
 from ...core.jobs.progress import Progress, Steps
-from ...core.messages import format_count
+from ...core.messages import format_count, join_sentences
 from .. import properties, start_job
 from ..following import disabled_reason
 
@@ -74,7 +74,7 @@ class DropJob:
         targets[:, 2] = heights + self.settings.offset / self.space.height_scale
         moved = self._move_points(targets) if self.settings.target == "points" else self._move_objects(targets, normals)
         sentences = [f"Put {moved} on the ground."]
-        return " ".join([*sentences, *describe_skipped(self.skipped), *describe_damages(self.surface.damages)])
+        return join_sentences([*sentences, *describe_skipped(self.skipped), *describe_damages(self.surface.damages)])
 
     def _move_objects(self, targets: np.ndarray, normals: np.ndarray) -> str:
         """Move objects, parents first, and return how many in words."""

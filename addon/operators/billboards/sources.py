@@ -13,6 +13,7 @@ from ...bridge.billboards.source_objects import read_source_objects
 from ...bridge.geometry import meshes
 from ...bridge.objects import temporarily_visible
 from ...core.errors import GeometryError
+from ...core.messages import join_sentences
 
 
 def read_sources(context: bpy.types.Context, objects: Sequence[bpy.types.Object], combine: bool) -> tuple[list[meshes.Source], list[str]]:
@@ -120,7 +121,7 @@ def describe_exceptions(scene_clouds: Sequence[SceneCloud], refused: Sequence[Sc
         f"Not in the view layer: {', '.join(dict.fromkeys(absent))}." if absent else "",
         f"Unchanged, linked from a library: {quote_names(refused)}; make local copies first." if refused else "",
     ]
-    return " ".join(sentence for sentence in sentences if sentence)
+    return join_sentences(sentences)
 
 
 def _missing_names(cloud: SceneCloud) -> list[str]:

@@ -12,6 +12,7 @@ from ...core.errors import SettingsError
 from ...core.files.filenames import unique_filenames
 from ...core.files.outputs import Output
 from ...core.jobs.progress import Progress, Steps, subprogress
+from ...core.messages import join_sentences
 from ...core.packages.files import check_package_folder, write_package
 from ...core.packages.package import PackageReport, build_package
 from ...core.packages.settings import PackageSettings
@@ -62,8 +63,8 @@ class PackageJob:
         """Return the message for the user."""
         yield Progress(1.0, "Exported")
         sentences = [report.describe() for report in core_result]
-        sentences += [sentence for source in self.sources for sentence in (describe_small(source), *source.remarks) if sentence]
-        return " ".join([*sentences, *describe_skipped(self.skipped)])
+        sentences += [sentence for source in self.sources for sentence in (describe_small(source), *source.remarks)]
+        return join_sentences([*sentences, *describe_skipped(self.skipped)])
 
 
 class FARFIELD_PG_packages(bpy.types.PropertyGroup):

@@ -19,7 +19,7 @@ from ...core.geometry.local_origin import describe_coarseness
 from ...core.geometry.mesh import face_areas_and_normals
 from ...core.geometry.transforms import signed_areas
 from ...core.jobs.progress import Progress, Steps, subprogress
-from ...core.messages import format_count
+from ...core.messages import format_count, join_sentences
 from ...core.photos.merging import merge
 from ...core.photos.photo_texture import PhotoTexture
 from ...core.photos.settings import PhotosSettings
@@ -104,7 +104,7 @@ class MergeJob:
         if self.has_maps:
             yield Progress(0.6, "Creating the maps")
             create_maps(layout, texture, names, len(self.sources))
-        return " ".join(filter(None, [self._summarize([image.name for image in images.values()], texture) + notes, coarseness]))
+        return join_sentences([self._summarize([image.name for image in images.values()], texture) + notes, coarseness])
 
     def _find_target(self, uid: int, name: str) -> bpy.types.Object:
         item = find_by_uid(bpy.data.objects, uid)

@@ -16,7 +16,7 @@ from ...bridge.texmesh.scale_attributes import write_scale_map
 from ...bridge.texmesh.sources import TexturedSource
 from ...core.errors import GeometryError
 from ...core.jobs.progress import Progress, Steps, subprogress
-from ...core.messages import format_count
+from ...core.messages import format_count, join_sentences
 from ...core.texmesh.level_chain import LevelChain, make_levels
 from ...core.texmesh.rebaking.rebake import RebakedTextures
 from ...core.texmesh.scale_space.analysis import analyze_scale_space
@@ -25,6 +25,7 @@ from ...core.texmesh.settings import AnalysisSettings, SceneSettings, TexmeshSet
 from .rebaking import create_images, read_textures, rebake_chain
 from .sources import check_sizes, describe_small, read_sources
 
+MAX_LISTED = 3  # The levels of more objects are counted together in the result.
 REBAKE_FRACTION = 0.3  # This part of the progress of an object is rebaking.
 
 
@@ -61,9 +62,9 @@ class AnalysisJob:
             features = ", ".join(f"{int(scale_map.counts[scale]):,}" for scale in (1, 5, 10, 20))
             note = "" if is_written else ", not as an attribute, since modifiers change the vertices"
             sentences.append(f'"{item.name}" has {features} features at scales 1, 5, 10 and 20{note}.')
-            sentences += [sentence for sentence in (scale_map.losses, *source.remarks) if sentence]
+            sentences += [scale_map.losses, *source.remarks]
             self.results.append((item.name, scale_map))
-        return " ".join([*sentences, *describe_skipped(self.skipped)])
+        return join_sentences([*sentences, *describe_skipped(self.skipped)])
 
 
 @dataclass
@@ -117,10 +118,11 @@ class LevelsJob:
         materials = [[None if key is None else find_material(key) for key in source.evaluated.materials] for source in self.sources]
         if bpy.context.mode != "OBJECT":
             bpy.ops.object.mode_set(mode="OBJECT")
-        sentences = []
+        remarks = []
         for index, (chain, rebaked) in enumerate(core_result):
-            sentences += self._add(objects[index], index, chain, rebaked, materials[index], scene)
-        return " ".join([*sentences, *describe_skipped(self.skipped)])
+            remarks += self._add(objects[index], index, chain, rebaked, materials[index], scene)
+        counts = _count_triangles(self.sources, [chain for chain, _ in core_result])
+        return join_sentences([*counts, *remarks, *describe_skipped(self.skipped)])
 
     def _add(
         self,
@@ -131,7 +133,7 @@ class LevelsJob:
         materials: Sequence[bpy.types.Material | None],
         scene: bpy.types.Scene,
     ) -> list[str]:
-        """Add the levels of the object made from source `index` in place of those made before, and return sentences about them."""
+        """Add the levels of the object made from source `index` in place of those made before, and return remarks about them."""
         source, textures = self.sources[index], self.rebake_textures[index]
         earlier = find_level_set(scene, item)
         if earlier is not None and earlier.is_editable:
@@ -150,16 +152,26 @@ class LevelsJob:
         levels.collection[FIGURES] = json.dumps(describe_chain(chain))
         self.chains[levels.collection.name] = chain
         _show(levels, scene, self.scene_settings)
-        counts = ", ".join(f"{len(level.mesh.triangles):,}" for level in chain.levels)
-        has_levels = f'"{item.name}" has {format_count(len(chain.levels), "level")} with {counts} triangles.'
-        sentences = [describe_small(source) or has_levels]
-        details = dict.fromkeys(sentence for level in chain.levels for sentence in (level.constraint,) if sentence)
-        of_images = [] if images is None else images.remarks
-        return [*sentences, *of_images, *filter(None, [chain.scale_map.losses]), *source.remarks, *details]
+        return [*([] if images is None else images.remarks), chain.scale_map.losses, *source.remarks]
 
     def _switch_distance(self, pixel_size: float) -> float:
         """Return the distance, in units of the object, at which a pixel of the display has a size."""
         return pixel_size / np.tan(np.radians(1.0 / self.settings.pixels_per_degree))
+
+
+def _count_triangles(sources: Sequence[TexturedSource], chains: Sequence[LevelChain]) -> list[str]:
+    """Return sentences about the triangles of the levels of each object, or, of more than `MAX_LISTED` objects, of all together."""
+    if len(chains) > MAX_LISTED:
+        finest, coarsest = (sum(len(chain.levels[index].mesh.triangles) for chain in chains) for index in (0, -1))
+        stopped = sum(any(level.constraint for level in chain.levels) for chain in chains)
+        why = f" {format_count(stopped, 'object')} could not get as few triangles as intended." if stopped else ""
+        return [f"{len(chains)} objects have levels, {finest:,} triangles in the finest and {coarsest:,} in the coarsest.{why}"]
+    sentences = []
+    for source, chain in zip(sources, chains, strict=True):
+        counts = ", ".join(f"{len(level.mesh.triangles):,}" for level in chain.levels)
+        has_levels = f'"{source.name}" has {format_count(len(chain.levels), "level")} with {counts} triangles.'
+        sentences += [describe_small(source) or has_levels, *(level.constraint for level in chain.levels)]
+    return sentences
 
 
 def describe_chain(chain: LevelChain) -> dict:

@@ -16,7 +16,7 @@ from ...core.geometry.cameras import CameraProjection
 from ...core.geometry.local_origin import describe_coarseness
 from ...core.geometry.mesh import TriangleMesh
 from ...core.jobs.progress import Progress, Steps, subprogress
-from ...core.messages import format_count
+from ...core.messages import format_count, join_sentences
 from ...core.unwrap.importance import compute_importance, from_direction
 from ...core.unwrap.settings import UnwrapSettings
 from ...core.unwrap.unwrapping import UnwrapResult, check_surface, unwrap
@@ -93,8 +93,8 @@ class UnwrapJob:
             f'"{target.object_name}" (stretch {result.metrics.l2:.3f}, {format_count(result.chart_count, "UV island")})'
             for target, result in self.results
         ]
-        skipped = f" Skipped: {'; '.join(self.skipped)}." if self.skipped else ""
-        return " ".join([f"Unwrapped {', '.join(summaries)}.", *self.remarks]) + skipped
+        skipped = f"Skipped: {'; '.join(self.skipped)}." if self.skipped else ""
+        return join_sentences([f"Unwrapped {', '.join(summaries)}.", *self.remarks, skipped])
 
 
 def prepare(context: bpy.types.Context, objects: Sequence[bpy.types.Object], settings: UnwrapSettings) -> UnwrapJob:
@@ -127,7 +127,7 @@ def prepare(context: bpy.types.Context, objects: Sequence[bpy.types.Object], set
         reasons = "; ".join([*skipped, *_reasons(errors)])
         raise GeometryError(f"Nothing to unwrap: {reasons or 'no object is selected'}. Select a local mesh object.")
     skipped += _reasons(errors)
-    return UnwrapJob(targets, cameras, _read_occluders(context) if cameras else [], settings, skipped, list(filter(None, remarks)))
+    return UnwrapJob(targets, cameras, _read_occluders(context) if cameras else [], settings, skipped, remarks)
 
 
 def _read_cameras(context: bpy.types.Context, settings: UnwrapSettings) -> list[CameraProjection]:
