@@ -20,7 +20,7 @@ BATCH_SIZE = 50  # cases per process; Blender's memory grows with each
 POLL_SECONDS = 0.05
 START_SECONDS = 120.0  # a worker may take this long before its first case
 DUMP_SECONDS = 1.0  # for the stacks of a process that hangs
-IMPORTERS = ("open_scene", "read_image", "write_damaged", "_open_scene")  # functions that hand a file to Blender
+IMPORTERS = ("open_scene", "open_near_origin", "read_image", "write_damaged", "_open_scene")  # functions that hand a file to Blender
 
 
 @dataclass(frozen=True)

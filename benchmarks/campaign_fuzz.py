@@ -34,8 +34,8 @@ from campaign_checks import Problem
 from farfield.addon.core.jobs.progress import Progress
 from lib import command_line
 
-CASE_SECONDS = dict.fromkeys(("billboards", "unwrap", "clipbox", "restore", "photos", "bdam"), 60.0) | dict.fromkeys(
-    ("btf", "texmesh", "packages"), 180.0
+CASE_SECONDS = dict.fromkeys(("billboards", "unwrap", "clipbox", "restore", "bdam"), 60.0) | dict.fromkeys(
+    ("btf", "photos", "texmesh", "packages"), 180.0
 )
 MAX_REFUSALS = 40  # different messages of runs with exit code 2 in the report
 MAX_EXAMPLES = 3  # The report has at most this many cases of each finding.

@@ -1,5 +1,7 @@
 """The mesh of an object joined with its instances is the surface that the object shows."""
 
+import math
+
 import bpy
 import mathutils
 import numpy as np
@@ -121,10 +123,11 @@ def test_a_sheared_object_is_read_relative_to_its_position():
     assert np.allclose(find_frame(shown.matrix), np.array(mathutils.Matrix.Translation(box.matrix_world.translation)))
 
 
-def test_a_scale_of_zero_is_refused_by_name():
+@pytest.mark.parametrize("scale", [0.0, math.inf, math.nan])
+def test_a_scale_without_inverse_is_refused_by_name(scale):
     trunk = blender_scenes.box("Trunk")
     scatter(trunk, blender_scenes.box("Leaf"), True)
-    trunk.scale = (0.0, 1.0, 1.0)
+    trunk.scale = (scale, 1.0, 1.0)
     bpy.context.view_layer.update()
-    with pytest.raises(GeometryError, match='"Trunk" has instances and a scale of 0'):
+    with pytest.raises(GeometryError, match='"Trunk" has instances, and a scale of 0'):
         read_joined_mesh(trunk, bpy.context.evaluated_depsgraph_get())

@@ -312,3 +312,5 @@ def test_levels_are_exported_by_the_operator(ball):
     assert {entry.name for entry in ball.parent.glob("tree-*")} == {"tree-L0.glb", "tree-L1.glb"}
     with pytest.raises(RuntimeError, match=r"must end in \.glb"):
         bpy.ops.farfield.texmesh_export(filepath=str(path.with_suffix(".obj")))
+    with pytest.raises(RuntimeError, match="is a folder; name a file in it"):
+        bpy.ops.farfield.texmesh_export(filepath=str(path.parent))

@@ -32,7 +32,8 @@ def read_joined_mesh(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> 
     An object without instances keeps its mesh as it is.
 
     Raises:
-        GeometryError: it has no faces; it has instances and a scale of 0, or more than MAX_TRIANGLES triangles.
+        GeometryError: it has no faces; it has instances and a scale of 0, a transform that is not finite, or more than MAX_TRIANGLES
+            triangles.
     """
     instances = read_instances([item], depsgraph)
     if not instances:
@@ -43,8 +44,8 @@ def read_joined_mesh(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> 
     count = sum(len(instance.mesh.triangles) for instance in instances)
     if count > MAX_TRIANGLES:
         raise GeometryError(f'The {len(instances):,} instances of "{item.name}" have {count:,} triangles; show fewer of them.')
-    if np.isfinite(matrix).all() and np.linalg.matrix_rank(matrix[:3, :3]) < 3:
-        raise GeometryError(f'"{item.name}" has instances and a scale of 0; give it another scale.')
+    if not np.isfinite(matrix).all() or np.linalg.matrix_rank(matrix[:3, :3]) < 3:
+        raise GeometryError(f'"{item.name}" has instances, and a scale of 0 or a transform that is not finite; give it another one.')
     return join_instances(instances, np.linalg.inv(matrix)), len(instances)
 
 

@@ -7,6 +7,7 @@ import bpy
 from ...bridge.scene_paths import check_scene_outputs
 from ...bridge.texmesh.glb_levels import level_outputs, write_levels
 from ...core.errors import FileError
+from ...core.files.file_access import is_folder
 from ...core.files.outputs import Output
 from ...core.messages import join_sentences
 from .. import long_work
@@ -57,6 +58,8 @@ class FARFIELD_OT_texmesh_export(bpy.types.Operator):
         path = Path(bpy.path.abspath(self.filepath)).absolute()
         if not self.filepath or path.suffix.lower() not in ("", SUFFIX):
             raise FileError(f'The file is "{self.filepath}"; its name must end in {SUFFIX}.')
+        if is_folder(path):
+            raise FileError(f'"{self.filepath}" is a folder; name a file in it.')
         path = path.with_suffix(SUFFIX)
         check_scene_outputs([Output("the file", path)] if self.one_file else level_outputs(path))
         paths, lacking = write_levels(selected_level_sets(context), path, self.quantized, self.one_file)
