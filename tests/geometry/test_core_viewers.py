@@ -135,3 +135,10 @@ def test_viewers_are_compared_by_what_they_see():
     viewer = Viewer(np.eye(4), projection)
     assert viewer.is_same(Viewer(np.eye(4), projection)) and not viewer.is_same(None)
     assert not viewer.is_same(viewer.transform(np.eye(4), np.array([0.0, 0.0, 1e-9])))
+
+
+@pytest.mark.parametrize("scale", [0.0, np.nan, np.inf])
+def test_a_transform_without_inverse_is_a_sentence(scale):
+    viewer = random_viewer("perspective", np.random.default_rng(0)).transform(np.diag([1.0, 1.0, scale, 1.0]))
+    with pytest.raises(SettingsError, match="a scale of 0, or a transform that is not finite"):
+        viewer.pixels_per_unit_at(np.ones(1))

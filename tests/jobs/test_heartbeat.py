@@ -137,12 +137,20 @@ def test_of_two_runs_that_start_at_the_same_time_one_continues(tmp_path, monkeyp
     held.renew()
 
 
-def test_a_run_is_alive_while_it_touches_its_file(tmp_path):
+def test_a_run_is_alive_while_its_process_runs_whatever_the_clock_says(tmp_path):
     assert not heartbeat.is_alive(tmp_path)
     with closing(heartbeat.take_over(tmp_path)) as held:
-        assert heartbeat.is_alive(tmp_path)
-        long_ago = time.time() - 2.0 * heartbeat.TIMEOUT_SECONDS
-        os.utime(held.path, (long_ago, long_ago))
-        assert not heartbeat.is_alive(tmp_path)
-        held.renew()
-        assert heartbeat.is_alive(tmp_path)
+        for seconds in (-1e6, 0.0, 1e6):  # The clock was set forward or back after the last touch.
+            os.utime(held.path, (time.time() + seconds,) * 2)
+            assert heartbeat.is_alive(tmp_path)
+    machine = held.path.name.split("-")[1]
+    (tmp_path / f"farfield-{machine}-{2**22 + 1}-1-0.heartbeat").touch()  # No process has this number.
+    assert not heartbeat.is_alive(tmp_path)
+
+
+def test_a_run_on_another_machine_is_alive_while_it_touches_its_file(tmp_path):
+    path = tmp_path / "farfield-00000000-1-1-0.heartbeat"
+    path.touch()
+    assert heartbeat.is_alive(tmp_path)
+    os.utime(path, (time.time() - 2.0 * heartbeat.TIMEOUT_SECONDS,) * 2)
+    assert not heartbeat.is_alive(tmp_path)

@@ -49,14 +49,18 @@ def folder_prefix() -> str:
 
 def remove_abandoned_folders(parent: Path) -> None:
     """Delete the temporary folders in `parent` that belong to this user and to processes of this machine that no longer run."""
-    machine = _machine_id()
     with suppress(OSError):  # a folder that cannot be listed
         for entry in os.scandir(parent):
-            match = NAME_PATTERN.match(entry.name)
-            if match is None or match["machine"] != machine or not _is_own_folder(entry):
-                continue
-            if not _is_running(int(match["process"]), int(match["start"])):
+            if is_owner_running(entry.name) is False and _is_own_folder(entry):
                 shutil.rmtree(entry.path, ignore_errors=True)
+
+
+def is_owner_running(name: str) -> bool | None:
+    """Return whether the process runs whose `folder_prefix` begins a name; None if it is on another machine, or there is none."""
+    match = NAME_PATTERN.match(name)
+    if match is None or match["machine"] != _machine_id():
+        return None
+    return _is_running(int(match["process"]), int(match["start"]))
 
 
 def _machine_id() -> str:

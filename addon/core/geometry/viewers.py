@@ -164,7 +164,9 @@ class Viewer:
 
     @cached_property
     def inverse(self) -> np.ndarray:
-        """The matrix (4, 4) float64 to camera space."""
+        """The matrix (4, 4) float64 to camera space. Raises SettingsError if there is none."""
+        if not np.isfinite(self.matrix).all() or np.linalg.matrix_rank(self.matrix[:3, :3]) < 3:
+            raise SettingsError("The camera or the terrain has a scale of 0, or a transform that is not finite; clear it.")
         linear = np.linalg.inv(self.matrix[:3, :3])
         inverse = np.eye(4)
         inverse[:3, :3], inverse[:3, 3] = linear, -linear @ self.position

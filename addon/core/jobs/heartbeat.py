@@ -16,6 +16,7 @@ from pathlib import Path
 
 from ..errors import FileError
 from ..files.file_access import convert_os_errors
+from ..files.temporary_folders import folder_prefix, is_owner_running
 
 FILE_SUFFIX = ".heartbeat"
 POLL_SECONDS = 0.25  # between two checks of the file
@@ -54,7 +55,7 @@ def take_over(folder: Path) -> Heartbeat:
     Raises:
         FileError: the folder is not writable, or another run starts there at the same time.
     """
-    path = folder / f"{uuid.uuid4().hex}{FILE_SUFFIX}"
+    path = folder / f"{folder_prefix()}{uuid.uuid4().hex}{FILE_SUFFIX}"
     with convert_os_errors(f'Cannot write in the folder "{folder}"'):
         _delete_others(path)
         path.touch()
@@ -66,12 +67,18 @@ def take_over(folder: Path) -> Heartbeat:
 
 
 def is_alive(folder: Path) -> bool:
-    """Whether a run in `folder` has touched its heartbeat file recently. Only for folders of this machine, whose clock it compares."""
-    touches = []
-    for path in folder.glob(f"*{FILE_SUFFIX}"):
-        with suppress(OSError):
-            touches.append(path.stat().st_mtime)
-    return time.time() - max(touches, default=0.0) < TIMEOUT_SECONDS
+    """Whether a run in `folder` goes on: its process runs or, on another machine, has touched its heartbeat file recently."""
+    return any(_is_going_on(path) for path in folder.glob(f"*{FILE_SUFFIX}"))
+
+
+def _is_going_on(path: Path) -> bool:
+    is_running = is_owner_running(path.name)
+    if is_running is not None:
+        return is_running
+    try:
+        return time.time() - path.stat().st_mtime < TIMEOUT_SECONDS
+    except OSError:
+        return False
 
 
 def watch(path: Path, on_end: Callable[[], None]) -> None:
