@@ -25,13 +25,15 @@ IMPORTERS = ("open_scene", "open_near_origin", "read_image", "write_damaged", "_
 
 @dataclass(frozen=True)
 class BatchOptions:
-    """sandbox: a folder that may be deleted. case_seconds: time limit of a case. keep: whether to keep folders of cases with problems."""
+    """sandbox: a folder that may be deleted. case_seconds: time limit of a case. keep: whether to keep folders of cases with problems.
+    worker: the script that runs the cases."""
 
     seed: int
     sandbox: Path
     case_seconds: float
     memory_gb: float
     keep: bool
+    worker: Path = WORKER
 
 
 def run_cases(tool: str, cases: Sequence[int], options: BatchOptions, on_wait: Callable[[], None]) -> Iterator[dict[str, Any]]:
@@ -67,7 +69,7 @@ def _run_worker(tool: str, cases: list[int], options: BatchOptions, on_wait: Cal
     }
     with (sandbox / "worker.txt").open("w", encoding="utf-8") as output:
         process = subprocess.Popen(
-            [sys.executable, str(WORKER), str(specification)],
+            [sys.executable, str(options.worker), str(specification)],
             cwd=environment.ROOT,
             env=variables,
             stdin=subprocess.DEVNULL,

@@ -60,7 +60,7 @@ class Specification:
 def main() -> None:
     content = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
     specification = Specification(**content | {name: Path(content[name]) for name in ("sandbox", "log")})
-    _limit_memory(specification.memory_gb)
+    limit_memory(specification.memory_gb)
     samples = _create_samples(specification)
     crash_log = (specification.sandbox / "crash.txt").open("w", encoding="utf-8")
     faulthandler.enable(crash_log)
@@ -147,9 +147,9 @@ def _run_command(
     for step in (*case.changes, " ".join(case.arguments)):
         record(step)
     before = campaign_checks.read_state(folder)
-    with _captured(specification.sandbox) as captured:
-        code = _run_script(case)
-    stdout, stderr = captured
+    with captured(specification.sandbox) as texts:
+        code = run_script(case)
+    stdout, stderr = texts
     after = campaign_checks.read_state(folder)
     outputs = [os.path.relpath(path, folder) for path in case.outputs]
     outputs += [state[1] for path, state in before.items() if state[0] == "link" and path in outputs]  # what the link leads to is replaced
@@ -160,17 +160,17 @@ def _run_command(
         problems += [problem for path in case.outputs for problem in campaign_checks.check_output(path)]
     elif code == campaign_checks.CANCELLED:
         problems += campaign_checks.check_written(folder, before, after, outputs)
-    problems = _add_leftovers(problems, specification.sandbox)
+    problems = add_leftovers(problems, specification.sandbox)
     return {
         "kind": "script",
         "code": code,
         "steps": case.changes + case.arguments,
         "stderr": stderr[-MAX_TEXT:],
-        "problems": _as_pairs(problems),
+        "problems": as_pairs(problems),
     }
 
 
-def _run_script(case: CommandCase) -> int:
+def run_script(case: CommandCase) -> int:
     """Run a script as the command line does, and return its exit code."""
     module = importlib.import_module(case.tool)
     sys.argv = [f"{case.tool}.py", *case.arguments]
@@ -194,16 +194,16 @@ def _run_script(case: CommandCase) -> int:
 def _run_operators(
     random: Random, specification: Specification, folder: Path, samples: Samples, record: Callable[[str], None]
 ) -> dict[str, Any]:
-    with _captured(specification.sandbox) as captured:
+    with captured(specification.sandbox) as texts:
         case = campaign_operators.run_case(random, specification.tool, folder, samples, record)
-    _, stderr = captured
+    _, stderr = texts
     problems = case.problems + ([Problem("traceback of a handler", stderr)] if "Traceback" in stderr else [])
-    problems = _add_leftovers(problems, specification.sandbox)
+    problems = add_leftovers(problems, specification.sandbox)
     counts = {"finished": case.finished, "refused": case.refused}
-    return {"kind": "operators", **counts, "steps": case.steps, "stderr": stderr[-MAX_TEXT:], "problems": _as_pairs(problems)}
+    return {"kind": "operators", **counts, "steps": case.steps, "stderr": stderr[-MAX_TEXT:], "problems": as_pairs(problems)}
 
 
-def _add_leftovers(problems: list[Problem], sandbox: Path) -> list[Problem]:
+def add_leftovers(problems: list[Problem], sandbox: Path) -> list[Problem]:
     """Return `problems` with what was left in the temporary folder. The logs of defects stand for the sentences about them."""
     logs, others = [], []
     for problem in campaign_checks.check_leftovers(sandbox / "tmp"):
@@ -215,12 +215,13 @@ def _add_leftovers(problems: list[Problem], sandbox: Path) -> list[Problem]:
     return logs + [problem for problem in problems if not logs or not problem.kind.startswith("defect")] + others
 
 
-def _as_pairs(problems: list[Problem]) -> list[tuple[str, str]]:
+def as_pairs(problems: list[Problem]) -> list[tuple[str, str]]:
+    """Return problems as pairs of kind and text, which JSON can store."""
     return [(problem.kind, problem.text[-MAX_TEXT:]) for problem in problems]
 
 
 @contextmanager
-def _captured(sandbox: Path) -> Iterator[list[str]]:
+def captured(sandbox: Path) -> Iterator[list[str]]:
     """Send descriptors 1 and 2 to files; at the end of the block, the list that was yielded holds both texts."""
     paths = [sandbox / "stdout.txt", sandbox / "stderr.txt"]
     originals, texts = [os.dup(1), os.dup(2)], []
@@ -238,7 +239,7 @@ def _captured(sandbox: Path) -> Iterator[list[str]]:
         texts += [path.read_text(encoding="utf-8", errors="backslashreplace") for path in paths]
 
 
-def _limit_memory(memory_gb: float) -> None:
+def limit_memory(memory_gb: float) -> None:
     """Let allocations beyond `memory_gb` fail, so that one case cannot take all memory of the machine."""
     with suppress(ImportError):  # Windows
         import resource

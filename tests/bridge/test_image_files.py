@@ -7,6 +7,7 @@ import zlib
 import bpy
 import numpy as np
 import pytest
+import tifffile
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
@@ -289,6 +290,11 @@ def write_animation(path):
     frames[0].save(path, save_all=True, append_images=frames[1:])
 
 
+def write_volume(path):
+    """Write a TIFF file whose only image has layers, which most readers ignore."""
+    tifffile.imwrite(path, np.zeros((3, 8, 8), np.uint8), volumetric=True, photometric="minisblack")
+
+
 def write_zeros(path, side, mode):
     """Write an image of zeros, which compression makes as small as it can."""
     Image.new(mode, (side, side)).save(path, **({"compression": "tiff_adobe_deflate"} if path.suffix == ".tif" else {}))
@@ -311,6 +317,7 @@ REFUSED = {
     "ycck.jpg": (lambda path: path.write_bytes(jpeg_bytes(4, 2)), "CMYK"),
     "cmyk.tif": (write_cmyk_tiff, "CMYK"),
     "pages.tif": (write_pages, "several images"),
+    "volume.tif": (write_volume, "a volume"),
     "integers.tif": (lambda path: write_image(path, np.zeros((4, 4, 1), np.int16)), "int16"),
     "doubles.tif": (lambda path: write_image(path, np.zeros((4, 4, 1), np.float64)), "double"),
     "layers.exr": (write_layers, "5 channels"),

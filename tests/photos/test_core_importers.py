@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from farfield.addon.core.errors import FarfieldError, FileError
-from farfield.addon.core.photos.importers import read_cameras
-from farfield.addon.core.photos.importers.colmap import MODEL_NUMBERS
+from farfield.addon.core.photos.importers import read_camera_file, read_cameras
+from farfield.addon.core.photos.importers.colmap import MODEL_NAMES
 from random_inputs import damage
 
 SCEAUX = Path(__file__).resolve().parents[3] / "shared" / "data" / "sceaux"
@@ -45,7 +45,7 @@ def write_text(folder, images):
 def write_binary(folder, images):
     data = struct.pack("<Q", len(LENSES))
     for number, (model, width, height, values) in LENSES.items():
-        data += struct.pack(f"<iiQQ{len(values)}d", number, MODEL_NUMBERS.index(model), width, height, *values)
+        data += struct.pack(f"<iiQQ{len(values)}d", number, MODEL_NAMES.index(model), width, height, *values)
     (folder / "cameras.bin").write_bytes(data)
     data = struct.pack("<Q", len(images))
     for number, quaternion, translation, lens, name in images:
@@ -85,6 +85,29 @@ def test_cameras_are_those_of_the_file(tmp_path, write, subfolder):
             y = fy * (v * radial + 2 * p2 * u * v + p1 * (square + 2 * v * v)) + cy
         seen = cameras[name].project(points)[2]
         assert np.abs(found - np.stack([x, height - y], axis=1))[seen].max(initial=0.0) < 1e-6
+
+
+@pytest.mark.parametrize("write", [write_text, write_binary])
+def test_a_lens_that_no_model_here_has_costs_its_photographs_only(tmp_path, write, monkeypatch):
+    monkeypatch.setitem(LENSES, 7, ("EUCM", 800, 600, (610.0, 612.0, 401.0, 299.0, 0.5, 1.1)))
+    write(tmp_path, random_images())
+    found = read_camera_file(tmp_path)
+    assert [camera.name for camera in found.cameras] == [NAMES[0]]
+    assert found.notes == [f'Skipped: "{NAMES[1]}", "{NAMES[2]}" (its lens model is EUCM).']
+
+
+@pytest.mark.parametrize("write", [write_text, write_binary])
+@pytest.mark.parametrize(("model", "values"), [("SIMPLE_FISHEYE", (610.0, 401.0, 299.0)), ("FISHEYE", (610.0, 612.0, 401.0, 299.0))])
+def test_equidistant_lenses_project_angles(tmp_path, write, model, values, monkeypatch):
+    monkeypatch.setitem(LENSES, 7, (model, 800, 600, values))
+    write(tmp_path, random_images())
+    camera = next(camera for camera in read_cameras(tmp_path) if camera.name == NAMES[1])
+    angle = np.radians(50.0)
+    points = np.array([[np.sin(angle), 0.0, np.cos(angle)], [0.0, np.sin(angle), np.cos(angle)]])
+    positions, is_valid = camera.lens.project(points)
+    assert is_valid.all()
+    center = np.array([401.0, 600 - 299.0])
+    assert positions == pytest.approx(np.array([center + [values[0] * angle, 0.0], center - [0.0, values[-3] * angle]]))
 
 
 def test_text_equals_binary(tmp_path):

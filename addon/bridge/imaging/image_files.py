@@ -13,6 +13,7 @@ import numpy as np
 
 from ...core.errors import FileError
 from ...core.files.file_access import check_readable, convert_os_errors
+from ...core.files.tiffs import read_layer_count
 from ..blender import import_blender_module
 from .image_specs import build_spec, target_storage
 from .image_storage import ImageFile, Storage, from_pixels, to_pixels
@@ -60,6 +61,8 @@ def read_image_file(path: Path, *, is_color: bool = True) -> ImageFile:
             raise _several_images(path)
         _check_contents(path, spec)
         _check_size(path, spec)
+        if file_format == "tiff" and read_layer_count(path) > 1:
+            raise _volume(path)
         if file.seek_subimage(1, 0) or file.seek_subimage(0, 1):
             raise _several_images(path)
         file.geterror()  # Clears that of the search for further images.
@@ -169,8 +172,10 @@ def _read_format(path: Path) -> str:
 
 def _check_contents(path: Path, spec: Any) -> None:
     """Raise FileError unless the header describes one flat image of up to four channels with supported numbers."""
-    if spec.deep or spec.depth > 1:
-        raise FileError(f'"{path}" contains {"deep pixels" if spec.deep else "a volume"}; save it as a flat image.')
+    if spec.deep:
+        raise FileError(f'"{path}" contains deep pixels; save it as a flat image.')
+    if spec.depth > 1:
+        raise _volume(path)
     interpretation = spec.get_int_attribute("tiff:PhotometricInterpretation", -1)
     if spec.get_string_attribute("jpeg:ColorSpace") in NO_CMYK or interpretation in (TIFF_SEPARATED, TIFF_CIELAB):
         raise FileError(f'"{path}" has CMYK or Lab colors; convert it to RGB.')
@@ -222,6 +227,10 @@ def _is_animated(path: Path) -> bool:
 
 def _several_images(path: Path) -> FileError:
     return FileError(f'"{path}" contains several images or resolutions; save one image per file.')
+
+
+def _volume(path: Path) -> FileError:
+    return FileError(f'"{path}" contains a volume; save it as a flat image.')
 
 
 def _damaged(path: Path) -> FileError:

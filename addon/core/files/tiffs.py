@@ -241,6 +241,17 @@ def open_tiff(path: Path) -> TiffImage:
     return replace(image, mask=mask, has_further_images=has_further_images)
 
 
+def read_layer_count(path: Path) -> int:
+    """Return how many layers the first image of a TIFF file has by its tag ImageDepth, which other readers ignore; 1 if nothing tells."""
+    try:
+        import tifffile
+
+        with tifffile.TiffFile(path) as file:
+            return file.pages.first.imagedepth
+    except (ImportError, *TIFFFILE_ERRORS):
+        return 1
+
+
 def _read_further_pages(file: "TiffFile") -> Iterator["TiffPage"]:
     """Yield the images after the first one, up to the first that is damaged."""
     for index in range(1, MAX_PAGES):

@@ -10,10 +10,16 @@ from .camera_notes import CameraNotes, UnusableCameraError
 from .reading import BinaryReader, ReadSize, read_file, read_text_lines, rotation_of_quaternion
 
 EXTENSIONS = (".bin", ".txt")
-MODEL_NUMBERS = (  # in binary files
-    "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV", "SIMPLE_RADIAL_FISHEYE",
-    "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE",
-)  # fmt: skip
+PARAMETER_COUNTS = {  # of lens models, in the order of their numbers in binary files, also of those that no model here equals
+    "SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "OPENCV": 8, "OPENCV_FISHEYE": 8, "FULL_OPENCV": 12, "FOV": 5,
+    "SIMPLE_RADIAL_FISHEYE": 4, "RADIAL_FISHEYE": 5, "THIN_PRISM_FISHEYE": 12, "RAD_TAN_THIN_PRISM_FISHEYE": 16, "SIMPLE_DIVISION": 4,
+    "DIVISION": 5, "SIMPLE_FISHEYE": 3, "FISHEYE": 4, "EUCM": 6, "EQUIRECTANGULAR": 2,
+}  # fmt: skip
+MODEL_NAMES = tuple(PARAMETER_COUNTS)
+EQUIDISTANT = {
+    "SIMPLE_FISHEYE": ("SIMPLE_RADIAL_FISHEYE", (0.0,)),
+    "FISHEYE": ("OPENCV_FISHEYE", (0.0,) * 4),
+}  # equal with these coefficients
 POINT_BYTES = 24  # A 2D point of an image has two coordinates and an ID of 8 bytes each.
 IMAGE_VALUES = 10  # ID, quaternion, translation, camera and name
 RawLens = tuple[str, int, int, tuple[float, ...]]  # model, width, height and parameters
@@ -50,6 +56,9 @@ def measure_model(folder: Path) -> int:
 
 def _build_lens(model: str, width: int, height: int, values: tuple[float, ...]) -> Lens:
     """Return the lens of a model with parameters in the order of COLMAP: focal lengths, center, coefficients."""
+    if model in EQUIDISTANT:
+        model, coefficients = EQUIDISTANT[model]
+        values = (*values, *coefficients)
     if model not in MODELS:
         raise UnusableCameraError(f"its lens model is {model}")
     count = 1 if MODELS[model].is_isotropic else 2
@@ -115,11 +124,10 @@ def _read_binary_cameras(path: Path) -> dict[int, RawLens]:
     reader, lenses = BinaryReader(read_file(path)), {}
     for _ in range(reader.read_count(24)):
         number, model_number, width, height = reader.read("iiQQ")
-        if not 0 <= model_number < len(MODEL_NUMBERS):
+        if not 0 <= model_number < len(MODEL_NAMES):
             raise FileError(f'"{path}" has the lens model {model_number}, which Farfield does not know; undistort the photographs first.')
-        model = MODELS[MODEL_NUMBERS[model_number]]
-        count = (1 if model.is_isotropic else 2) + 2 + model.coefficient_count
-        lenses[number] = (MODEL_NUMBERS[model_number], width, height, reader.read(f"{count}d"))
+        model = MODEL_NAMES[model_number]
+        lenses[number] = (model, width, height, reader.read(f"{PARAMETER_COUNTS[model]}d"))
     return lenses
 
 
