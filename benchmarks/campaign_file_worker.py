@@ -165,18 +165,22 @@ def _compare_store(path: Path, folder: Path) -> Values:
     rows, columns = field.shape
     np.save(folder / "heights.npy", field.read(slice(0, rows), slice(0, columns)))
     step = list(field.placement.step) if field.placement.is_placed else None
-    return _ask(kind="heights", path=str(path), heights=str(folder / "heights.npy"), step=step, white=FieldSettings().image_height) | {
-        "warnings": list(field.warnings)
-    }
+    return _ask(
+        kind="heights",
+        path=str(path),
+        heights=str(folder / "heights.npy"),
+        step=step,
+        white=FieldSettings().image_height if field.mosaic.sources[0].is_gray else None,
+    ) | {"warnings": list(field.warnings)}
 
 
 def _compare_heights(path: Path, folder: Path) -> Values:
     """Compare the heights that boxes are built from; their spacing in meters has no counterpart elsewhere."""
     found = read_heights(path, read_gray_image)
     np.save(folder / "heights.npy", found.heights)
-    return _ask(kind="heights", path=str(path), heights=str(folder / "heights.npy"), step=None, white=WHITE) | {
-        "warnings": list(found.warnings)
-    }
+    return _ask(
+        kind="heights", path=str(path), heights=str(folder / "heights.npy"), step=None, white=WHITE if found.pixel_size is None else None
+    ) | {"warnings": list(found.warnings)}
 
 
 def _compare_pixels(path: Path, folder: Path) -> Values:

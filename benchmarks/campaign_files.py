@@ -50,13 +50,14 @@ EXTENSIONS = {
     "photos": CAMERAS,
 }
 CAMERA_MARKS = (b"<document", b"<chunk", b'"frames"', b'"views"', b"NVM_V3", b"# Bundle", b"points")  # at the start of a file
+NAMED = (" lacks ", "taken as unknown", "Skipped: ")  # in results that differ from the input and say how
 CASE_SECONDS = 90.0
 
 
 @dataclass
 class Tally:
-    """What happened to the files of one tool. formats: counts by extension and by what happened; differences, refusals and findings:
-    sentences with the files that they are about."""
+    """What happened to the files of one tool. formats: counts by extension and by what happened; differences, refusals, missing
+    references and findings: sentences with the files that they are about."""
 
     formats: dict[str, Counter] = field(default_factory=lambda: defaultdict(Counter))
     differences: list[dict[str, Any]] = field(default_factory=list)
@@ -85,6 +86,7 @@ class Tally:
         else:
             counts["compared"] += 1
             counts["equal"] += "problem" not in comparison
+            counts["named"] += "problem" in comparison and any(word in result["stdout"] for word in NAMED)
         if "problem" in comparison:
             self.differences.append({"file": str(path), **comparison, "said": result["stdout"].strip()})
 
@@ -129,13 +131,13 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
             paths = choose_files(files, tool, given)
             chosen.update(paths)
             results["tools"][tool] = run_tool(tool, paths, sandbox, given, end, line).figures()
+            results["chosen"] = len(chosen)
+            if given.report is not None:
+                command_line.write_report(given.report.absolute(), results)
     except KeyboardInterrupt:
         results["ended"] = "cancelled"
     finally:
         shutil.rmtree(sandbox, ignore_errors=True)
-    results["chosen"] = len(chosen)
-    if given.report is not None:
-        command_line.write_report(given.report.absolute(), results)
     return json.dumps(results, indent=1)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 FEET = {"ft": 0.3048, "feet": 0.3048, "foot": 0.3048, "us survey foot": 1200 / 3937, "us-ft": 1200 / 3937}
 SENSITIVITY = 1e-5  # of float32, relative to the largest height
-GRAY_IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")  # whose heights are gray values
+ALPHA_IMAGES = (".tif", ".tiff")  # in which heights are unknown where alpha is 0
 NEAR_SIDES = 4  # Projections that lie this many sides of the photograph away count; rounding grows with the distance.
 JPEG_STEPS = 3  # of 255, between the decoders of two programs
 
@@ -30,8 +30,11 @@ def compare_heights(request: dict[str, Any]) -> dict[str, Any]:
         known = (file.dataset_mask() > 0) & (file.read_masks(1) > 0) & np.isfinite(band)
         unit = FEET.get((file.units[0] or "").lower(), 1.0)
         expected = np.where(known, (band * file.scales[0] + file.offsets[0]) * unit, np.nan)
-        if Path(request["path"]).suffix.lower() in GRAY_IMAGES:
-            expected = request["white"] * _read_gray(file)
+        if request["white"] is not None:
+            has_alpha = Path(request["path"]).suffix.lower() in ALPHA_IMAGES
+            expected = np.where(known | (not has_alpha), request["white"] * _read_gray(file), np.nan)
+        elif file.count >= 3:
+            expected = np.where(known, file.read((1, 2, 3)).mean(axis=0), np.nan)
         if file.transform.e < 0 or file.transform.is_identity:
             expected = expected[::-1]
         step = [abs(file.transform.a), abs(file.transform.e)]

@@ -48,6 +48,7 @@ from farfield.addon.operators.job_run import run_job
 from lib import command_line, run_files, scene_files
 from lib.atomic_output import atomic_file
 from lib.mesh_export import write_obj, write_ply
+from lib.script_stdout import mute_stderr
 
 STORE = run_files.PathType(is_output=True, is_folder=True, is_exclusive=True, check=check_target)
 EXTENSIONS = (".blend", ".ply", ".obj")
@@ -109,7 +110,8 @@ def build(given: Namespace, line: command_line.ProgressLine) -> str:
     inputs, images = ([path.absolute() for path in paths] for paths in (given.inputs, given.texture))
     with Scratch(MAX_KEPT_BYTES) as scratch:
         field_settings = FieldSettings(settings.cell_size, settings.image_height, settings.allow_gaps)
-        field = open_field(inputs, field_settings, lambda path: scratch.keep(read_gray_image(path), 0))
+        with mute_stderr():  # libraries print what is wrong with a file
+            field = open_field(inputs, field_settings, lambda path: scratch.keep(read_gray_image(path), 0))
         report = run_to_end(build_terrain(warn_of_heights(field), inputs, given.out.absolute(), settings, images), line.show)
     line.clear()
     workers = command_line.children_peak_memory_mb()

@@ -41,6 +41,7 @@ from farfield.addon.operators.job_run import run_job
 from lib import command_line, run_files, scene_files
 from lib.atomic_output import atomic_file
 from lib.mesh_export import write_obj, write_ply
+from lib.script_stdout import mute_stderr
 
 EXTENSIONS = (".blend", ".ply", ".obj")
 
@@ -160,7 +161,8 @@ def build_engine(
     settings: ClipboxSettings, positions: list[np.ndarray], clock: StageClock, line: command_line.ProgressLine
 ) -> TerrainEngine:
     """Build a terrain that has followed the path, without Blender objects."""
-    engine = sources.create_engine(settings)
+    with mute_stderr():  # libraries print what is wrong with a file
+        engine = sources.create_engine(settings)
     with clock.stage("first build"):
         run_to_end(subprogress(engine.move(positions[0]), 0.0, 1.0 / len(positions)), line.show)
     with clock.stage("path"):
@@ -186,7 +188,8 @@ def build_scene(
 ) -> TerrainEngine:
     """Build the same as objects of an empty scene; with `convert_settings`, converted to regular meshes."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    job = prepare(settings, positions[0])
+    with mute_stderr():
+        job = prepare(settings, positions[0])
     with clock.stage("first build"):
         run_to_end(subprogress(run_job(job), 0.0, 1.0 / len(positions)), line.show)
     with clock.stage("path"):

@@ -17,6 +17,7 @@ from farfield.addon.bridge.blender import bundled_folders, import_blender_module
 from farfield.addon.bridge.imaging import image_files
 from farfield.addon.bridge.imaging.image_files import read_image_file, write_image_file
 from farfield.addon.bridge.imaging.image_storage import Storage, from_pixels, to_pixels
+from farfield.addon.bridge.imaging.images import read_gray_image
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.imaging.colors import decode_signed_srgb, encode_signed_srgb
 from image_data import icc_profile, jpeg_bytes, open_image_io, png_bytes, png_chunk, read_image, write_image
@@ -257,6 +258,18 @@ def write_pages(path):
     file.close()
 
 
+def write_parts(path):
+    """Write an OpenEXR file with two images."""
+    oiio = open_image_io()
+    specs = tuple(oiio.ImageSpec(8, 8, 3, "half") for _ in range(2))
+    for spec, name in zip(specs, "ab", strict=True):
+        spec.attribute("oiio:subimagename", name)
+    file = oiio.ImageOutput.create(str(path))
+    assert file.open(str(path), specs) and file.write_image(np.zeros((8, 8, 3), np.float16))
+    assert file.open(str(path), specs[1], "AppendSubimage") and file.write_image(np.zeros((8, 8, 3), np.float16))
+    file.close()
+
+
 def write_deep(path):
     """Write an OpenEXR file with several values per pixel."""
     oiio = open_image_io()
@@ -334,6 +347,19 @@ def test_what_is_no_flat_image_is_refused_in_one_sentence(tmp_path, name, capfd)
         read_image_file(path)
     message = str(caught.value)
     assert str(path) in message and message.endswith(".") and "\n" not in message
+
+
+@pytest.mark.parametrize("kind", ["truncated", "parts"])
+def test_openexr_files_that_can_end_blender_are_no_heights(tmp_path, kind):
+    """Blender's own reader shows what is missing as black, or ends the process."""
+    path = write_image(tmp_path / "whole.exr", FINITE_HALVES.repeat(16, axis=0), {"compression": "piz"})
+    assert read_gray_image(path).shape == read_image(path)[0].shape[:2]
+    if kind == "truncated":
+        path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
+    else:
+        write_parts(path)
+    with pytest.raises(FileError, match="damaged or truncated" if kind == "truncated" else "several images"):
+        read_gray_image(path)
 
 
 def test_the_extension_does_not_choose_the_reader(tmp_path):

@@ -6,10 +6,12 @@ import bpy
 import numpy as np
 import pytest
 
+import bdam
 import clipbox
 from farfield.addon.bridge.clipbox import objects as terrain_objects
 from farfield.addon.core.clipbox.settings import ClipboxSettings
 from farfield.addon.core.errors import FileError, GeometryError, SettingsError
+from image_data import write_image
 from lib import command_line, environment
 from script_runs import run_script
 from watertight import directed_edge_counts, open_edges
@@ -175,3 +177,16 @@ def test_paths_are_checked_before_any_work(folder, monkeypatch, flags, message):
     with pytest.raises(FileError, match=message):
         run(*flags)
     assert {path.name for path in folder.iterdir()} == {"dem.npy", "path.csv"}
+
+
+@pytest.mark.parametrize("script", ["clipbox", "bdam"])
+def test_a_damaged_openexr_file_is_one_sentence(tmp_path, script, capfd):
+    path = write_image(tmp_path / "a.exr", np.random.default_rng(1).random((64, 64, 1), np.float32), {"compression": "piz"})
+    path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
+    runs = {
+        "clipbox": lambda: run("--terrain", "heights", "--source", path, "--out", tmp_path / "out.ply"),
+        "bdam": lambda: bdam.main(["build", str(path), "--out", str(tmp_path / "store")], command_line.ProgressLine()),
+    }
+    with pytest.raises(FileError, match="is damaged or truncated"):
+        runs[script]()
+    assert capfd.readouterr().err == ""

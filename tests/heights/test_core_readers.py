@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from farfield.addon.core.bdam.building.tiff_colors import TiffColors
+from farfield.addon.core.bdam.building.tiff_colors import TiffColors, check_colors
 from farfield.addon.core.bdam.fields.terrain_field import open_field, warn_of_heights
 from farfield.addon.core.clipbox.files.readers import read_file
 from farfield.addon.core.errors import FileError
@@ -54,6 +54,32 @@ def metadata(scale: float | None = None, offset: float | None = None, unit: str 
     ]
     other = '  <Item name="SCALE" sample="1" role="scale">7</Item>\n  <Item name="AREA">role="scale"</Item>\n'
     return {42112: (2, f"<GDALMetadata>\n{other}{''.join(texts)}</GDALMetadata>")}
+
+
+def test_gray_values_are_as_bright_as_the_image_looks(tmp_path):
+    """Samples of an image may count from white, or be indices of colors; maps keep their numbers."""
+    values = np.arange(256, dtype=np.uint8).reshape(16, 16)
+    gray = np.sqrt(np.arange(256) / 255).repeat(3).reshape(256, 3)
+    palette = tuple((65535 * gray.T).astype(int).ravel().tolist())
+    photometric = {"black": {}, "white": {262: (3, (0,))}, "palette": {262: (3, (3,)), 320: (3, palette)}}
+    paths = {name: write_tiff(tmp_path / f"{name}.tif", values, tags=tags) for name, tags in photometric.items()}
+    found = {name: read_file(path).heights[::-1].ravel() for name, path in paths.items()}
+    assert found["black"] == pytest.approx(np.arange(256) / 255)
+    assert found["white"] == pytest.approx(1 - found["black"], abs=1e-6)
+    assert found["palette"] == pytest.approx(gray[:, 0], abs=1 / 255)
+    map_of_classes = write_tiff(tmp_path / "map.tif", values, tags=photometric["palette"] | PLACED)
+    assert np.array_equal(read_file(map_of_classes).heights[::-1].ravel(), np.arange(256))
+    colors = TiffColors(open_tiff(paths["white"]), SegmentCache()).read(slice(0, 16), slice(0, 16))
+    assert np.array_equal(colors[..., 0], 255 - values)
+
+
+@pytest.mark.parametrize("photometric", [5, 6, 8])
+def test_other_colors_are_no_heights_and_no_texture(tmp_path, photometric):
+    values = np.zeros((16, 16, 4 if photometric == 5 else 3), np.uint8)
+    path = write_tiff(tmp_path / "a.tif", values, tags={262: (3, (photometric,))})
+    for check in (read_file, lambda path: check_colors(open_tiff(path))):
+        with pytest.raises(FileError, match="has CMYK, Lab or YCbCr colors"):
+            check(path)
 
 
 @pytest.mark.parametrize("compression", ["none", "lzw", "deflate", "packbits", "zstd"])

@@ -13,6 +13,7 @@ import numpy as np
 
 from ...core.errors import FileError
 from ...core.files.file_access import check_readable, convert_os_errors
+from ...core.files.height_maps import check_size
 from ...core.files.tiffs import read_layer_count
 from ..blender import import_blender_module
 from .image_specs import build_spec, target_storage
@@ -94,6 +95,30 @@ def read_image_size(path: Path) -> tuple[int, int]:
     try:
         spec = file.spec()
         return spec.width, spec.height
+    finally:
+        file.close()
+
+
+def check_openexr(path: Path) -> None:
+    """Read an OpenEXR file to its end: parts and damaged blocks can end the process in Blender's own reader. Other files are not read.
+
+    Raises:
+        FileError: the file is damaged, or holds several images or deep pixels.
+    """
+    with convert_os_errors(f'Cannot read "{path}"'), path.open("rb") as content:
+        if SIGNATURES.get(content.read(4)) != "openexr":
+            return
+    file = _open_input(path)
+    try:
+        spec = file.spec()
+        if spec.deep:
+            raise FileError(f'"{path}" contains deep pixels; save it as a flat image.')
+        check_size(path, spec.width * spec.height * spec.nchannels, 4)
+        if file.seek_subimage(1, 0):
+            raise _several_images(path)
+        file.geterror()  # Clears that of the search for further images.
+        if file.read_image(0, 0, 0, spec.nchannels, spec.format) is None or file.geterror():
+            raise _damaged(path)
     finally:
         file.close()
 

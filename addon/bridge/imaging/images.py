@@ -15,7 +15,7 @@ from ...core.files.height_maps import check_size
 from ..blender import error_sentence
 from ..geometry.meshes import Source
 from ..shading.node_builder import nodes_in
-from .image_files import read_image_size
+from .image_files import check_openexr, read_image_size
 
 INDEPENDENT_ALPHA = {"CHANNEL_PACKED", "NONE"}  # modes in which colors are not weighted by alpha
 EXTENSIONS = {False: "png", True: "exr"}  # lossless, by whether the pixels are floats
@@ -215,7 +215,8 @@ def read_gray_image(path: Path) -> np.ndarray:
 
 
 def _check_header(path: Path) -> None:
-    """Raise FileError if an image that can be read without Blender declares more pixels than fit into memory."""
+    """Raise FileError if an image that can be read without Blender declares more pixels than fit into memory, or would end the process."""
+    check_openexr(path)
     try:
         width, height = read_image_size(path)
     except FileError:

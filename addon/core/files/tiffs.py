@@ -35,7 +35,7 @@ except ImportError:  # Python can be built without it
     LZMAError = EOFError
 
 PREDICTORS = (1, 2, 3)
-PALETTE = 3  # value of the tag PhotometricInterpretation
+WHITE_IS_ZERO, PALETTE, YCBCR, OTHER_COLORS = 0, 3, 6, (5, 8, 9, 10)  # values of the tag PhotometricInterpretation; CMYK and kinds of Lab
 REDUCED, MASK = 1, 4  # bits of the tag NewSubfileType
 ALPHAS = (1, 2)  # values of the tag ExtraSamples
 MAX_PAGES = 64  # images of a file that are looked at
@@ -57,7 +57,8 @@ class TiffImage:
         shape: rows and columns; row 0 is the first of the file, in the north.
         channels: samples per pixel.
         dtype: type of the samples, in the byte order of this machine.
-        is_palette: whether samples are indices of colors.
+        photometric: value of the tag PhotometricInterpretation.
+        palette: (N, 3) uint8, colors of which samples are indices, None if they are none.
         is_map: whether GeoTIFF tags declare it a map.
         alpha: index of the channel that is 0 where a pixel is transparent, None if there is none.
         georeference: where it lies.
@@ -75,7 +76,8 @@ class TiffImage:
     shape: tuple[int, int]
     channels: int
     dtype: np.dtype
-    is_palette: bool
+    photometric: int
+    palette: np.ndarray | None
     is_map: bool
     alpha: int | None
     georeference: GeoReference
@@ -92,6 +94,16 @@ class TiffImage:
     page: int = 0
     mask: "TiffImage | None" = None
     has_further_images: bool = False
+
+    @property
+    def is_inverted(self) -> bool:
+        """Whether the sample 0 is white."""
+        return self.photometric == WHITE_IS_ZERO
+
+    def check_color_space(self) -> None:
+        """Raise FileError if samples are colors that are not red, green and blue."""
+        if self.photometric in OTHER_COLORS or (self.photometric == YCBCR and self.compression in MAX_RATIOS):
+            raise FileError(f'"{self.path}" has CMYK, Lab or YCbCr colors; convert it to RGB.')
 
     @property
     def max_segment_bytes(self) -> int:
@@ -298,7 +310,8 @@ def _describe(path: Path, page: "TiffPage", file_size: int) -> TiffImage:
         shape=(rows, columns),
         channels=page.samplesperpixel,
         dtype=dtype,
-        is_palette=page.photometric == PALETTE,
+        photometric=int(page.photometric),
+        palette=None if page.photometric != PALETTE or page.colormap is None else (page.colormap.T >> 8).astype(np.uint8),
         is_map=has_elevations(tags),
         alpha=alpha,
         georeference=read_georeference(tags),

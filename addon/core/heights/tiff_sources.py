@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import FileError
-from ..files.tiffs import TiffImage, open_tiff
+from ..files.tiffs import PALETTE, TiffImage, open_tiff
 from .positions import complete_georeference, find_position
 from .sources import HeightSource, SourceContext, find_void_heights, flip, to_heights, warn_of_steps
 
@@ -30,12 +30,15 @@ def open_tiff_source(path: Path, context: SourceContext) -> HeightSource:
     is_gray = tiff.dtype.kind in "ub" and not tiff.is_map and reference.affine is None and (reference.scale, reference.offset) == (1.0, 0.0)
     scale, offset = reference.scale * reference.vertical_unit, reference.offset * reference.vertical_unit
     if is_gray:
-        scale = context.image_height if tiff.dtype.kind == "b" else context.image_height / np.iinfo(tiff.dtype).max
+        scale, offset = _scale_gray(tiff, context.image_height)
 
     def read(rows: slice, columns: slice) -> np.ndarray:
         window = rows if position.is_south_up else flip(rows, tiff.shape[0])
         samples = tiff.read(window, columns, context.cache)
         heights = to_heights(_select_heights(samples, tiff), reference.no_data, scale, offset)
+        if is_gray and tiff.palette is not None:
+            colors = tiff.palette.mean(axis=1, dtype=np.float32).take(samples[:, :, 0], mode="clip")
+            heights = np.where(np.isnan(heights), heights, colors * np.float32(scale))
         if tiff.alpha is not None:
             heights[samples[:, :, tiff.alpha] == 0] = np.nan
         if tiff.mask is not None:
@@ -60,8 +63,9 @@ def open_tiff_source(path: Path, context: SourceContext) -> HeightSource:
 
 def _check_heights(tiff: TiffImage, context: SourceContext) -> None:
     path = tiff.path
+    tiff.check_color_space()
     if not context.accepts_colors:
-        if tiff.is_palette:
+        if tiff.photometric == PALETTE:
             raise FileError(f'"{path}" is an image with a palette, no elevation model; save it as gray values.')
         if tiff.channels > 2 or tiff.dtype.kind == "b":
             kind = "a color image" if tiff.channels > 2 else "a black-and-white image"
@@ -71,6 +75,12 @@ def _check_heights(tiff: TiffImage, context: SourceContext) -> None:
     if tiff.max_segment_bytes > context.max_segment_bytes:
         size = f"{tiff.max_segment_bytes / 2**20:,.0f} MiB"
         raise FileError(f'"{path}" is compressed in parts of {size}, which cannot be read by window; save it with tiles.')
+
+
+def _scale_gray(tiff: TiffImage, image_height: float) -> tuple[float, float]:
+    """Return meters per number of a gray value, or of a color in a palette, and the height of the number 0, which is black or white."""
+    largest = 1 if tiff.dtype.kind == "b" else np.iinfo(np.uint8 if tiff.palette is not None else tiff.dtype).max
+    return (-image_height / largest, image_height) if tiff.is_inverted else (image_height / largest, 0.0)
 
 
 def _is_multiple(offset: float, scale: float) -> bool:

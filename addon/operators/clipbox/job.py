@@ -11,6 +11,7 @@ from ...bridge.clipbox import sources
 from ...bridge.clipbox.materials import GroundImage, create_terrain_material
 from ...bridge.clipbox.objects import SceneTerrain
 from ...bridge.clipbox.sources import absolute_path
+from ...bridge.imaging.image_files import check_openexr
 from ...core.clipbox.engine import NO_SURFACE, TerrainEngine, Update, check_viewer
 from ...core.clipbox.files.readers import BLEND_PREFIX, check_path
 from ...core.clipbox.layout import choose_terrain_origin
@@ -99,13 +100,14 @@ def find_ground_image(settings: ClipboxSettings, origin: np.ndarray) -> GroundIm
     """Return the image that colors a height map, None if there is none.
 
     Raises:
-        FileError: the file is missing or cannot be read, or its path is relative to a .blend file that was never saved.
+        FileError: the file is missing, damaged or cannot be read, or its path is relative to a .blend file that was never saved.
     """
     if settings.terrain != "heights" or not settings.source_color:
         return None
     path = Path(absolute_path(settings.source_color))
     check_path(str(path))
     check_readable(path)
+    check_openexr(path)
     return GroundImage(path, settings.source_size * settings.scale, origin)
 
 

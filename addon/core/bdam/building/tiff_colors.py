@@ -4,7 +4,7 @@ import numpy as np
 
 from ...errors import FileError
 from ...files.segment_cache import SegmentCache
-from ...files.tiffs import TiffImage
+from ...files.tiffs import PALETTE, TiffImage
 from ...imaging.colors import decode_signed_srgb
 
 MAX_SEGMENT_BYTES = 64 << 20  # bytes of a strip or tile that must be decoded as a whole, in every worker
@@ -20,8 +20,9 @@ def check_colors(tiff: TiffImage) -> None:
         FileError: it does not.
     """
     path = tiff.path
-    if tiff.is_palette:
+    if tiff.photometric == PALETTE:
         raise FileError(f'"{path}" is an image with a palette; save it as RGB.')
+    tiff.check_color_space()
     if tiff.channels > MAX_CHANNELS:
         raise FileError(f'"{path}" has {tiff.channels} channels; save the red, green and blue ones as an RGB file.')
     if tiff.dtype not in BIT_DEPTHS:
@@ -61,6 +62,8 @@ class TiffColors:
         if self._tiff.mask is not None:
             is_valid = self._tiff.mask.read(rows, columns, self._cache) != 0
             is_known = is_valid if is_known is None else is_known & is_valid
+        if self._tiff.is_inverted and colors.dtype.kind == "u":
+            colors = ~colors
         opaque = 1
         if values.dtype == np.uint8:
             opaque = 255
