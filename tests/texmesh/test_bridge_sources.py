@@ -103,6 +103,7 @@ def test_images_of_other_inputs_are_no_colors():
     light = nodes.new("ShaderNodeTexImage")
     light.image = checker_image("Light")
     links.new(light.outputs["Color"], shader.inputs["Emission Color"])
+    shader.inputs["Emission Strength"].default_value = 1.0
     assert find_color_images(material) == [(light.image, "")]
 
 

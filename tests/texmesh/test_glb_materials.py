@@ -9,6 +9,7 @@ import pytest
 from bridge.blender_scenes import shader_of
 from farfield.addon.bridge import lod_crossfade
 from farfield.addon.bridge.geometry.evaluated_mesh import read_evaluated_mesh
+from farfield.addon.bridge.texmesh.color_images import find_color_images
 from farfield.addon.bridge.texmesh.glb_materials import GlbMaterials, VertexUse, describe_unread
 from farfield.addon.core.files.glb import GlbMesh, GlbNode, GlbPrimitive, GlbScene, write_glb
 from farfield.addon.core.files.glb_materials import BLEND, MASK, OPAQUE, GlbMaterial, GlbTexture
@@ -266,6 +267,33 @@ def test_what_a_file_lacks_is_named(change, labels):
     assert material.texture is not None and material.alpha_mode == OPAQUE
     assert found.unread == {"Leaf": labels}
     assert describe_unread(found.unread, "The .glb") == [f'The .glb lacks {labels[0]} of "Leaf".']
+
+
+@pytest.mark.parametrize("strength", [0.0, 1.0])
+def test_an_emission_counts_if_it_has_strength(strength):
+    """It takes the place of the base color, which is named."""
+    nodes = Nodes(checker_image())
+    base = nodes.shader.inputs["Base Color"]
+    nodes.tree.links.remove(base.links[0])
+    base.default_value = (0.2, 0.4, 0.6, 1.0)
+    nodes.link(nodes.image.outputs["Color"], "Emission Color")
+    nodes.shader.inputs["Emission Strength"].default_value = strength
+    material, _, found = nodes.read()
+    assert (material.texture is not None) == (strength > 0.0)
+    assert material.base_color[:3] == pytest.approx((1.0, 1.0, 1.0) if strength else (0.2, 0.4, 0.6))
+    assert found.unread == ({"Leaf": ("Base Color",)} if strength else {})
+    assert [image.name for image, _ in find_color_images(nodes.material)] == (["Checker"] if strength else [])
+
+
+def test_outputs_of_single_engines_are_read():
+    """Files from before Blender 5.0 have one for each engine where a material had no nodes."""
+    nodes = Nodes()
+    nodes.tree.nodes["Material Output"].target = "EEVEE"
+    other = nodes.tree.nodes.new("ShaderNodeOutputMaterial")
+    other.target = "CYCLES"
+    nodes.tree.links.new(nodes.add("BsdfDiffuse", (0.2, 0.4, 0.6, 1.0)), other.inputs["Surface"])
+    material, _, found = nodes.read()
+    assert material.base_color == pytest.approx((0.2, 0.4, 0.6, 1.0)) and material.texture is None and found.unread == {}
 
 
 def test_blenders_importer_makes_the_same_materials(tmp_path):

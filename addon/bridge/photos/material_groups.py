@@ -11,6 +11,7 @@ from ...core.errors import GeometryError
 from ..geometry.evaluated_mesh import MaterialKey
 from ..geometry.meshes import SourceInstance, find_material
 from ..shading.node_builder import NodeBuilder
+from ..shading.surface_reader import find_output
 from .results import TEXTURE_PROPERTY, add_texture, create_material, keep_unused
 
 SUFFIX = " Photo Texture"
@@ -110,7 +111,7 @@ def find_shader(material: bpy.types.Material) -> bpy.types.Node | None:
     if not uses_nodes(material) or material.node_tree is None:
         return None
     tree = material.node_tree
-    output = tree.get_output_node("ALL") or tree.get_output_node("CYCLES") or tree.get_output_node("EEVEE")
+    output = find_output(tree)
     if output is None:
         return None
     links = output.inputs["Surface"].links

@@ -53,7 +53,7 @@ def read_surface(material: bpy.types.Material) -> MaterialSurface:
     """Read the surface of a material. Without nodes, it has its viewport color."""
     if not uses_nodes(material) or material.node_tree is None:
         return MaterialSurface(None, ColorProduct(tuple(material.diffuse_color)[:3]), WHITE, None, ())
-    output = material.node_tree.get_output_node("ALL")
+    output = find_output(material.node_tree)
     if output is None:
         return MaterialSurface(None, WHITE, WHITE, None, ())
     shader, alpha, cutoff, unread = _find_shader(find_source(ScopedSocket(output.inputs["Surface"])))
@@ -68,9 +68,22 @@ def read_surface(material: bpy.types.Material) -> MaterialSurface:
     return MaterialSurface(shader.node, color, alpha, cutoff, (*unread, *_list_inputs(shader.node, color_input)))
 
 
+def find_output(tree: bpy.types.NodeTree) -> bpy.types.Node | None:
+    """Return the active output of a material, for all engines or, as in files from before Blender 5.0, for one; None if there is none."""
+    return tree.get_output_node("ALL") or tree.get_output_node("CYCLES") or tree.get_output_node("EEVEE")
+
+
+def list_color_inputs(node: bpy.types.Node) -> list[bpy.types.NodeSocket]:
+    """Return the inputs of a node that can color it, in the order in which they count. An emission without strength cannot."""
+    found = [item for name in COLOR_INPUTS for item in node.inputs if item.name == name and item.type == "RGBA"]
+    strength = node.inputs.get("Emission Strength")
+    is_dark = strength is not None and not strength.links and strength.default_value == 0.0
+    return [item for item in found if not (is_dark and item.name == "Emission Color")]
+
+
 def find_color_input(node: bpy.types.Node) -> bpy.types.NodeSocket | None:
     """Return the input of a shader that colors it: the first one that is linked, or the first one; None if it has none."""
-    found = [item for name in COLOR_INPUTS for item in node.inputs if item.name == name and item.type == "RGBA"]
+    found = list_color_inputs(node)
     return next((item for item in found if item.links), found[0] if found else None)
 
 
@@ -151,10 +164,13 @@ def _read_number(source: ScopedSocket) -> float | None:
 
 def _list_inputs(shader: bpy.types.Node, color_input: bpy.types.NodeSocket | None) -> list[str]:
     """Return the names of the other inputs of a shader that something is linked to, or whose weight is above 0."""
-    linked = [item.name for item in shader.inputs if item.links and item != color_input and item.name != "Alpha"]
+    ignored = {"Alpha"} if any(item.name == "Emission Color" for item in list_color_inputs(shader)) else {"Alpha", "Emission Color"}
+    linked = [item.name for item in shader.inputs if item.links and item != color_input and item.name not in ignored]
     if shader.type == "BSDF_PRINCIPLED":
         strength, emission = (shader.inputs[name] for name in ("Emission Strength", "Emission Color"))
         linked += [item.name for item in shader.inputs if item.name in WEIGHTS and not item.links and item.default_value > 0.0]
+        replaced = shader.inputs["Base Color"] if color_input == emission else None
+        linked += ["Base Color"] if replaced is not None and any(value > 0.0 for value in replaced.default_value[:3]) else []
         is_light = not strength.links and strength.default_value > 0.0 and any(value > 0.0 for value in emission.default_value[:3])
         linked += ["Emission Color"] if is_light and not emission.links and color_input != emission else []
     return list(dict.fromkeys(linked))

@@ -10,7 +10,7 @@ from ...compat import uses_nodes
 from ...core.errors import FileError
 from ..imaging.color_spaces import read_linear_pixels
 from ..imaging.images import find_path
-from ..shading.surface_reader import COLOR_INPUTS
+from ..shading.surface_reader import find_output, list_color_inputs
 
 MAX_SIDE = 4096  # pixels; larger images are halved until they fit
 
@@ -29,7 +29,7 @@ def find_color_images(material: bpy.types.Material | None) -> list[tuple[bpy.typ
     """
     if material is None or not uses_nodes(material) or material.node_tree is None:
         return []
-    output = material.node_tree.get_output_node("ALL")
+    output = find_output(material.node_tree)
     found: dict[bpy.types.Image, str] = {}
     for node in () if output is None else _image_nodes(output.inputs["Surface"]):
         found.setdefault(node.image, _uv_map_of(node))
@@ -111,7 +111,7 @@ def _color_inputs(node: bpy.types.Node) -> list[bpy.types.NodeSocket]:
     """Return the linked inputs of a node that determine its color, in the order in which a stack should hold them: the nearest one last."""
     linked = [item for item in node.inputs if item.links]
     shaders = [item for item in linked if item.type == "SHADER"]
-    colors = [item for name in COLOR_INPUTS for item in linked if item.name == name and item.type == "RGBA"]
+    colors = [item for item in list_color_inputs(node) if item.links]
     if any(item.type == "SHADER" for item in node.outputs):
         return shaders[::-1] or colors[:1]
     if colors:
