@@ -28,9 +28,9 @@ from farfield.addon.core.files.glb import (
     GlbScene,
     flip_v,
 )
-from farfield.addon.core.files.glb_materials import NEAREST, OPAQUE, TEXTURE_TRANSFORM, WRAPS, GlbMaterial, GlbTexture
+from farfield.addon.core.files.glb_materials import NEAREST, OPAQUE, TEXTURE_TRANSFORM, UNLIT, WRAPS, GlbMaterial, GlbTexture
 
-READABLE_EXTENSIONS = {QUANTIZATION, TEXTURE_TRANSFORM, LEVELS, "KHR_materials_unlit"}
+READABLE_EXTENSIONS = {QUANTIZATION, TEXTURE_TRANSFORM, LEVELS, UNLIT}
 DTYPES = {component: np.dtype(f"<{name}") for name, component in COMPONENTS.items()}
 COUNTS = {name: count for count, name in TYPES.items()}
 TRIANGLES = 4  # primitive mode
@@ -205,7 +205,8 @@ def _read_material(reader: _Reader, material: dict[str, Any]) -> tuple[GlbMateri
     name, is_double_sided = str(material.get("name", "")), bool(material.get("doubleSided", False))
     texture = None if image is None else GlbTexture(image, *_read_sampler(reader, texture["index"]))
     mode, cutoff = str(material.get("alphaMode", OPAQUE)), float(material.get("alphaCutoff", 0.5))
-    return GlbMaterial(name, factor, texture, is_double_sided, mode, cutoff), (uv_set, transform)
+    is_unlit = UNLIT in material.get("extensions", {})
+    return GlbMaterial(name, factor, texture, is_double_sided, mode, cutoff, is_unlit), (uv_set, transform)
 
 
 def _read_sampler(reader: _Reader, texture: int) -> tuple[tuple[str, str], bool]:

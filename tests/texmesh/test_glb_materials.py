@@ -310,7 +310,7 @@ def test_blenders_importer_makes_the_same_materials(tmp_path):
     ]
     modes = [(OPAQUE, 0.5), (MASK, 0.25), (BLEND, 0.5), (MASK, 0.5), (BLEND, 0.5)]
     written = [
-        GlbMaterial(f"m{index}", (1.0, 0.5, 0.25, 1.0 if mode == OPAQUE else 0.5), texture, index % 2 == 0, mode, cutoff)
+        GlbMaterial(f"m{index}", (1.0, 0.5, 0.25, 1.0 if mode == OPAQUE else 0.5), texture, index % 2 == 0, mode, cutoff, index in (0, 1))
         for index, (texture, (mode, cutoff)) in enumerate(zip(textures, modes, strict=True))
     ]
     uvs = np.array([[0.25, -0.5], [1.5, 0.125], [0.5, 2.0]])
@@ -340,7 +340,7 @@ def check_imported(item: bpy.types.Object, expected: GlbMaterial, uvs: np.ndarra
     _, use = materials.add(item.data.materials[0])
     (found,) = materials.materials
     assert (found.name, found.is_double_sided, found.alpha_mode) == (expected.name, expected.is_double_sided, expected.alpha_mode)
-    assert found.base_color == pytest.approx(expected.base_color) and materials.unread == {}
+    assert found.base_color == pytest.approx(expected.base_color) and materials.unread == {} and found.is_unlit == expected.is_unlit
     assert expected.alpha_mode != MASK or found.alpha_cutoff == pytest.approx(expected.alpha_cutoff)
     assert (found.texture.wrap, found.texture.is_nearest) == (expected.texture.wrap, expected.texture.is_nearest)
     mesh = read_evaluated_mesh(item.data, item)

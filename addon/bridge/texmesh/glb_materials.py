@@ -103,6 +103,7 @@ class GlbMaterials:
                 is_double_sided=not material.use_backface_culling,
                 alpha_mode=mode,
                 alpha_cutoff=0.5 if surface.alpha_cutoff is None else surface.alpha_cutoff,
+                is_unlit=surface.shader is not None and surface.shader.type == "EMISSION",
             )
         )
         self._note(material.name, unread)

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..errors import FileError, GeometryError
 from .atomic_write import atomic_write
-from .glb_materials import TEXTURE_TRANSFORM, UNIT_RANGE, GlbMaterial, UvRange, encode_materials
+from .glb_materials import TEXTURE_TRANSFORM, UNIT_RANGE, UNLIT, GlbMaterial, UvRange, encode_materials
 
 MAGIC, VERSION = b"glTF", 2
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
@@ -291,7 +291,9 @@ def _list_extensions(scene: GlbScene, is_quantized: bool, ranges: list[UvRange])
     required = [QUANTIZATION] if is_quantized else []
     is_placed = any(material.texture is not None and material.texture.placement is not None for material in scene.materials)
     required += [TEXTURE_TRANSFORM] if is_placed or any(uv_range != UNIT_RANGE for uv_range in ranges) else []
-    return required + ([LEVELS] if any(node.levels for node in scene.nodes) else []), required
+    optional = [LEVELS] if any(node.levels for node in scene.nodes) else []
+    optional += [UNLIT] if any(material.is_unlit for material in scene.materials) else []
+    return required + optional, required
 
 
 def flip_v(uvs: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import GeometryError
 
-TEXTURE_TRANSFORM = "KHR_texture_transform"
+TEXTURE_TRANSFORM, UNLIT = "KHR_texture_transform", "KHR_materials_unlit"
 WRAPS = {"repeat": 10497, "mirror": 33648, "clamp": 33071}
 LINEAR, NEAREST, TRILINEAR = 9729, 9728, 9987
 OPAQUE, MASK, BLEND = "OPAQUE", "MASK", "BLEND"
@@ -47,6 +47,7 @@ class GlbMaterial:
         is_double_sided: whether back faces show.
         alpha_mode: OPAQUE, MASK or BLEND.
         alpha_cutoff: alpha from which a surface with a MASK is visible.
+        is_unlit: whether it shows its base color without light.
     """
 
     name: str
@@ -55,6 +56,7 @@ class GlbMaterial:
     is_double_sided: bool = False
     alpha_mode: str = OPAQUE
     alpha_cutoff: float = 0.5
+    is_unlit: bool = False
 
 
 @dataclass(frozen=True)
@@ -108,6 +110,8 @@ def _encode_material(material: GlbMaterial, texture: dict[str, Any] | None) -> d
     if texture is not None:
         surface["baseColorTexture"] = texture
     result: dict[str, Any] = {"name": material.name, "pbrMetallicRoughness": surface}
+    if material.is_unlit:
+        result["extensions"] = {UNLIT: {}}
     if material.alpha_mode != OPAQUE:
         result["alphaMode"] = material.alpha_mode
     if material.alpha_mode == MASK:
