@@ -307,6 +307,7 @@ ASCII_HEADER = "ncols 3\nnrows 2\nxllcorner 500000\nyllcorner 4500000\ncellsize 
         ASCII_HEADER + "NODATA_value null\n1.5 2 null\n4 5 6.25\n",
         ASCII_HEADER + "NODATA_value nan\n1.5 2 nan\n4 5 6.25",
         ASCII_HEADER + "NODATA: -1\n1.5 2 -1\n4 5 6.25\n",
+        ASCII_HEADER + "1.5 2 -9999\n4 5 6.25\nCRS\nNOTES 1 2 3 4\n",
         "ncols 3\nnrows 2\nxllcenter 500005,0\nyllcenter 4500005,0\nxcellsize 10,0\nycellsize 10,0\nNODATA -9,0\n1,5 2 -9,0\n4 5 6,25",
     ],
 )

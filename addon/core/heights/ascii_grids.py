@@ -150,9 +150,17 @@ def _place(path: Path, header: dict[str, float]) -> tuple[Placement, tuple[str, 
     return Placement((first[0] * unit, first[1] * unit), (step[0] * unit, step[1] * unit), is_geographic, code, is_placed), warnings
 
 
+def _starts_with_letter(path: Path, position: int) -> bool:
+    """Return whether notes begin at a byte of a file, which some programs write after the last row. Words for unknown heights are none."""
+    with path.open("rb") as file:
+        file.seek(position)
+        word = file.read(MAX_NUMBER_BYTES).split(maxsplit=1)[0].decode("latin-1").lower()
+    return word[0].isalpha() and word not in UNKNOWN_WORDS
+
+
 def _find_rows(path: Path, start: int, rows: int, columns: int) -> np.ndarray:
-    """Return the bytes (rows + 1,) int64 where the rows begin, and the end of the file. A row may run over several lines."""
-    offsets, count, follows_space = [], 0, True
+    """Return the bytes (rows + 1,) int64 where the rows begin, and the end of the last one. A row may run over several lines."""
+    offsets, count, follows_space, footer = [], 0, True, None
     with path.open("rb") as file:
         file.seek(start)
         position = start
@@ -164,10 +172,14 @@ def _find_rows(path: Path, start: int, rows: int, columns: int) -> np.ndarray:
             begins[1:] &= ~is_text[:-1]
             begins[0] &= follows_space
             words = np.flatnonzero(begins)
+            if footer is None and count + len(words) > rows * columns:
+                footer = position + int(words[rows * columns - count])
             if count < rows * columns:
                 offsets.append(position + words[-count % columns :: columns])
             count, follows_space, position = count + len(words), not is_text[-1], position + len(block)
+    if footer is not None and _starts_with_letter(path, footer):
+        count, position = rows * columns, footer
     if count != rows * columns:
         advice = "it is truncated, so copy it again" if count < rows * columns else "save it again"
         raise FileError(f'"{path}" contains {count:,} heights; according to its header it must have {rows * columns:,}: {advice}.')
-    return np.concatenate([*offsets, [position]])
+    return np.concatenate([np.concatenate(offsets)[:rows], [position]])
