@@ -2,6 +2,7 @@
 
 import struct
 import sys
+import warnings
 import zlib
 
 import bpy
@@ -360,6 +361,13 @@ def test_openexr_files_that_can_end_blender_are_no_heights(tmp_path, kind):
         write_parts(path)
     with pytest.raises(FileError, match="damaged or truncated" if kind == "truncated" else "several images"):
         read_gray_image(path)
+
+
+def test_heights_that_are_not_finite_need_no_warning(tmp_path):
+    path = write_image(tmp_path / "a.exr", np.full((4, 4, 3), (np.inf, -np.inf, 0.0), np.float32))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert np.isnan(read_gray_image(path)).all()
 
 
 def test_the_extension_does_not_choose_the_reader(tmp_path):

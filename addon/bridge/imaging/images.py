@@ -211,7 +211,8 @@ def read_gray_image(path: Path) -> np.ndarray:
     finally:
         bpy.data.images.remove(image)
     pixels = pixels.reshape(height, width, channels)
-    return pixels[..., 0].copy() if channels < 3 else pixels[..., :3].mean(axis=2)
+    with np.errstate(all="ignore"):  # values that are not finite
+        return pixels[..., 0].copy() if channels < 3 else pixels[..., :3].mean(axis=2)
 
 
 def _check_header(path: Path) -> None:
