@@ -85,6 +85,8 @@ def run_job(tool: str, path: Path, sandbox: Path) -> dict[str, Any]:
         if (before.st_mtime_ns, before.st_size) != (after.st_mtime_ns, after.st_size) or names != _names(path.parent):
             problems.append(campaign_checks.Problem("input changed", str(path)))
         problems = add_leftovers(problems, sandbox)
+        for log in (sandbox / "tmp").glob("*.log"):
+            log.unlink()  # of a defect, which is reported with its own file only
         result = {"kind": "script", "code": code, "stdout": texts[0][-MAX_TEXT:], "stderr": texts[1][-MAX_TEXT:]}
         if (code == 0 or tool == "photos") and tool in COMPARISONS:  # cameras also without their photographs
             with captured(sandbox), suppress(FarfieldError):

@@ -64,7 +64,8 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     with clock.stage("read"):
         moved = scene_files.describe_moved(scene_files.open_near_origin(given.input.absolute(), given.files))
         scene_files.objects_in_renders(given.input, scene_files.is_mesh)
-        job = prepare(bpy.context, [item for item in bpy.context.scene.objects if not item.hide_render], settings)
+        shapes = scene_files.find_bone_shapes()
+        job = prepare(bpy.context, [item for item in bpy.context.scene.objects if not item.hide_render and item not in shapes], settings)
     job.skipped.extend(scene_files.describe_missing())
     for reason in job.skipped:
         command_line.print_message(f"Skipped: {reason}.")

@@ -93,7 +93,7 @@ def objects_in_renders(path: Path | None, is_wanted: Callable[[bpy.types.Object]
         GeometryError: there are none.
     """
     place = "the scene" if path is None else f'"{path}"'
-    shapes = {bone.custom_shape for item in bpy.data.objects if item.pose is not None for bone in item.pose.bones}
+    shapes = find_bone_shapes()
     objects = [item for item in bpy.context.scene.objects if is_wanted(item) and item not in shapes]
     if not objects:
         raise GeometryError(f"There is no mesh in {place}{_explain_absence()}")
@@ -102,6 +102,11 @@ def objects_in_renders(path: Path | None, is_wanted: Callable[[bpy.types.Object]
         names = ", ".join(item.name for item in objects)
         raise GeometryError(f"Every object in {place} is disabled in renders ({names}); enable one of them.")
     return visible
+
+
+def find_bone_shapes() -> set[bpy.types.Object]:
+    """Return the objects that show bones in the viewport."""
+    return {bone.custom_shape for item in bpy.data.objects if item.pose is not None for bone in item.pose.bones} - {None}
 
 
 def is_mesh(item: bpy.types.Object) -> bool:

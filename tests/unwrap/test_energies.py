@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import sparse
 
 from farfield.addon.core.geometry.transforms import signed_areas
+from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.unwrap.energies.boundary_barrier import BoundaryBarrier, self_intersects
+from farfield.addon.core.unwrap.energies.newton import minimize
 from farfield.addon.core.unwrap.energies.rest_shapes import compute_rest_shapes
 from farfield.addon.core.unwrap.energies.shape_barrier import ShapeBarrier, min_height_to_base
 from farfield.addon.core.unwrap.energies.stretch_energy import StretchEnergy, compute_jacobians
@@ -158,3 +161,21 @@ def test_self_intersections_equal_the_test_of_every_pair(seed):
                 t = np.linalg.solve(np.column_stack([b - a, c - d]), c - a)
                 expected |= bool(((t >= 0.0) & (t <= 1.0)).all())
     assert self_intersects(uv, boundary) == expected
+
+
+class FlatEnergy:
+    """An energy that is the same everywhere: its Hessian is singular."""
+
+    def value(self, _uv: np.ndarray) -> float:
+        return 1.0
+
+    def gradient(self, uv: np.ndarray) -> np.ndarray:
+        return np.zeros(uv.size)
+
+    def hessian(self, uv: np.ndarray) -> sparse.csc_array:
+        return sparse.csc_array((uv.size, uv.size))
+
+
+def test_a_singular_hessian_ends_the_search_where_it_is():
+    uv = np.arange(6.0).reshape(3, 2)
+    assert np.array_equal(run_to_end(minimize(FlatEnergy(), uv, 1e-3, 5)), uv)

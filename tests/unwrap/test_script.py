@@ -52,6 +52,17 @@ def test_every_output_format_contains_the_uv_map(head, extension):
     assert np.ptp(read_uvs(item.data.uv_layers[0])) > 0.5
 
 
+def test_shapes_of_bones_are_not_unwrapped(tmp_path, empty_scene):
+    bpy.ops.mesh.primitive_ico_sphere_add()
+    shape = bpy.context.object
+    bpy.ops.mesh.primitive_cube_add()
+    bpy.ops.object.armature_add()
+    bpy.context.object.pose.bones[0].custom_shape = shape
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "in.blend"))
+    summary = run(tmp_path / "in.blend", "--out", tmp_path / "out.blend")
+    assert '"Cube"' in summary and "Icosphere" not in summary
+
+
 def test_a_direction_implies_direction_importance(tmp_path):
     path = write_obj(tmp_path / "dome.obj", dome(12))
     report = tmp_path / "report.json"

@@ -2,7 +2,7 @@
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
 from ...jobs.progress import Progress, Steps
 from .uv_energy import UvEnergy
@@ -32,7 +32,7 @@ def minimize(energy: UvEnergy, uv: np.ndarray, tolerance: float, max_steps: int)
         if factor is None or reuse_count >= MAX_FACTOR_REUSE:
             factor, reuse_count = _factorize(energy.hessian(uv), regularization), 0
         gradient = energy.gradient(uv)
-        direction = -factor.solve(gradient)
+        direction = np.full(gradient.shape, np.nan) if factor is None else -factor.solve(gradient)
         if not np.isfinite(direction).all():
             factor, regularization = None, REGULARIZATION_GROWTH * regularization
             continue
@@ -84,7 +84,11 @@ def _relax_if_better(energy: UvEnergy, uv: np.ndarray, value: float) -> tuple[np
     return (relaxed, new_value) if new_value < value else (uv, value)
 
 
-def _factorize(hessian: sparse.csc_array, regularization: float):
+def _factorize(hessian: sparse.csc_array, regularization: float) -> SuperLU | None:
+    """Return the factors of a Hessian that is regularized, None if it is singular all the same."""
     shift = regularization * float(np.median(hessian.diagonal()))
     regularized = hessian + shift * sparse.eye_array(hessian.shape[0], format="csc")
-    return splu(regularized, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    try:
+        return splu(regularized, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    except RuntimeError:  # Singular.
+        return None
