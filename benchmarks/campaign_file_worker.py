@@ -86,7 +86,7 @@ def run_job(tool: str, path: Path, sandbox: Path) -> dict[str, Any]:
             problems.append(campaign_checks.Problem("input changed", str(path)))
         problems = add_leftovers(problems, sandbox)
         for log in (sandbox / "tmp").glob("*.log"):
-            log.unlink()  # of a defect, which is reported with its own file only
+            log.unlink()  # A defect is reported with its own file only.
         result = {"kind": "script", "code": code, "stdout": texts[0][-MAX_TEXT:], "stderr": texts[1][-MAX_TEXT:]}
         if (code == 0 or tool == "photos") and tool in COMPARISONS:  # cameras also without their photographs
             with captured(sandbox), suppress(FarfieldError):
@@ -132,7 +132,7 @@ def _terrain_arguments(path: Path, folder: Path) -> tuple[str, list[str]]:
 
 
 def _photo_arguments(path: Path, folder: Path) -> tuple[str, list[str]]:
-    """Return arguments for cameras beside a mesh and photographs, as in ../shared/data."""
+    """Return arguments for cameras next to a mesh and photographs, as in ../shared/data."""
     place = next((parent for parent in path.parents if (parent / "images").is_dir()), path.parent)
     mesh = next((mesh for mesh in (place / "plane.obj", *sorted(place.glob("*.ply"))) if mesh.exists()), place / "none.obj")
     arguments = [str(mesh), "--cameras", str(path), "--images", str(place / "images"), "--texture", str(folder / "out.png")]

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 FEET = {"ft": 0.3048, "feet": 0.3048, "foot": 0.3048, "us survey foot": 1200 / 3937, "us-ft": 1200 / 3937}
-SENSITIVITY = 1e-5  # of float32, relative to the largest height
+SENSITIVITY = 1e-5  # Rounding of float32, relative to the largest height.
 ALPHA_IMAGES = (".tif", ".tiff")  # in which heights are unknown where alpha is 0
 NEAR_SIDES = 4  # Projections that lie this many sides of the photograph away count; rounding grows with the distance.
-JPEG_STEPS = 3  # of 255, between the decoders of two programs
+JPEG_STEPS = 3  # Difference of 255 between the decoders of two programs.
 
 
 def compare_heights(request: dict[str, Any]) -> dict[str, Any]:
@@ -125,7 +125,7 @@ def _read_tiff(path: Path) -> np.ndarray:
             return np.array(Image.open(path).convert("L"))
         pixels = page.asarray()
         if page.photometric == tifffile.PHOTOMETRIC.PALETTE:
-            return np.moveaxis(page.colormap[:, pixels] >> 8, 0, -1).astype(np.uint8)
+            return np.moveaxis(page.colormap[:, pixels] // 257, 0, -1).astype(np.uint8)
         if page.planarconfig == tifffile.PLANARCONFIG.SEPARATE and pixels.ndim == 3:
             pixels = np.moveaxis(pixels, 0, -1)
         if page.bitspersample in (2, 4):

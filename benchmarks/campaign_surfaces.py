@@ -14,11 +14,11 @@ environment.import_farfield()
 
 from lib import scene_files
 
-SIDE, SAMPLES = 96, 24  # of a render
-DIRECTIONS = ((0.7, -1.0, 0.5), (-0.4, 0.9, -0.6))  # of the views, towards the camera
+SIDE, SAMPLES = 96, 24  # Pixels per side and samples of a render.
+DIRECTIONS = ((0.7, -1.0, 0.5), (-0.4, 0.9, -0.6))  # Directions of the views, towards the camera.
 MIN_OVERLAP, MAX_COLOR_DIFFERENCE = 0.95, 0.03
 MAX_FIGURE_DIFFERENCE = 1e-3  # relative
-MIN_ALTITUDE = 1e-4  # of a triangle that counts, relative to the size; quantization makes thinner ones vanish
+MIN_ALTITUDE = 1e-4  # Relative to the size; quantization makes thinner triangles vanish.
 SHADING = {"Metallic": 0.0, "Roughness": 1.0, "Specular IOR Level": 0.0, "Normal": None, "Coat Weight": 0.0, "Transmission Weight": 0.0}
 
 

@@ -18,6 +18,7 @@ TYPE_SIZES = {
     **dict.fromkeys(("int", "uint", "int32", "uint32", "float", "float32"), 4),
     **dict.fromkeys(("double", "float64"), 8),
 }
+KEYWORDS = ("format", "element", "property")
 COUNT = re.compile("[0-9]{1,10}")
 ASCII_VALUE_BYTES = 2  # a digit and a separator
 
@@ -62,6 +63,8 @@ def _parse(path: Path, lines: list[str]) -> tuple[bool, list[Element]]:
     is_ascii, elements = False, []
     for line in lines:
         keyword, *words = line.split() or [""]
+        if keyword in KEYWORDS and line[0].isspace():  # Blender takes it for a comment, and its reader may end the program
+            raise FileError(f'"{path}" cannot be read: a line of its header begins with a space, "{line.strip():.80}"; export it again.')
         if keyword == "format":
             is_ascii = words[:1] == ["ascii"]
         elif keyword == "element":

@@ -67,6 +67,9 @@ def test_gray_values_are_as_bright_as_the_image_looks(tmp_path):
     assert found["black"] == pytest.approx(np.arange(256) / 255)
     assert found["white"] == pytest.approx(1 - found["black"], abs=1e-6)
     assert found["palette"] == pytest.approx(gray[:, 0], abs=1 / 255)
+    bits = {256: (3, (16,)), 258: (3, (1,)), 262: (3, (3,)), 320: (3, (0, 13107) * 3)}
+    path = write_tiff(tmp_path / "bits.tif", np.packbits(values > 100, axis=1), tags=bits)
+    assert read_file(path).heights[::-1].ravel() == pytest.approx(0.2 * (np.arange(256) > 100))
     map_of_classes = write_tiff(tmp_path / "map.tif", values, tags=photometric["palette"] | PLACED)
     assert np.array_equal(read_file(map_of_classes).heights[::-1].ravel(), np.arange(256))
     colors = TiffColors(open_tiff(paths["white"]), SegmentCache()).read(slice(0, 16), slice(0, 16))

@@ -55,6 +55,13 @@ def test_files_without_a_ply_header(content, tmp_path):
         check_ply_header(tmp_path / "a.ply")
 
 
+def test_a_header_with_lines_that_begin_with_a_space(tmp_path):
+    """Blender's own reader may end the program."""
+    path = ply(tmp_path / "a.ply", f" element vertex 3\n{VERTEX}", b"0 0 0\n1 0 0\n0 1 0\n", "ascii")
+    with pytest.raises(FileError, match="begins with a space"):
+        check_ply_header(path)
+
+
 def test_valid_headers_are_read(tmp_path):
     counts = f"comment made by hand\nelement vertex 3\n{VERTEX}element face 1\nproperty list uchar int vertex_indices\n"
     corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]

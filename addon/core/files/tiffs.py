@@ -311,7 +311,7 @@ def _describe(path: Path, page: "TiffPage", file_size: int) -> TiffImage:
         channels=page.samplesperpixel,
         dtype=dtype,
         photometric=int(page.photometric),
-        palette=None if page.photometric != PALETTE or page.colormap is None else (page.colormap.T >> 8).astype(np.uint8),
+        palette=None if page.photometric != PALETTE or page.colormap is None else (page.colormap.T // 257).astype(np.uint8),
         is_map=has_elevations(tags),
         alpha=alpha,
         georeference=read_georeference(tags),

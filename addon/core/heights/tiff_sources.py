@@ -37,7 +37,7 @@ def open_tiff_source(path: Path, context: SourceContext) -> HeightSource:
         samples = tiff.read(window, columns, context.cache)
         heights = to_heights(_select_heights(samples, tiff), reference.no_data, scale, offset)
         if is_gray and tiff.palette is not None:
-            colors = tiff.palette.mean(axis=1, dtype=np.float32).take(samples[:, :, 0], mode="clip")
+            colors = tiff.palette.mean(axis=1, dtype=np.float32).take(samples[:, :, 0].astype(np.int64), mode="clip")
             heights = np.where(np.isnan(heights), heights, colors * np.float32(scale))
         if tiff.alpha is not None:
             heights[samples[:, :, tiff.alpha] == 0] = np.nan
@@ -79,7 +79,9 @@ def _check_heights(tiff: TiffImage, context: SourceContext) -> None:
 
 def _scale_gray(tiff: TiffImage, image_height: float) -> tuple[float, float]:
     """Return meters per number of a gray value, or of a color in a palette, and the height of the number 0, which is black or white."""
-    largest = 1 if tiff.dtype.kind == "b" else np.iinfo(np.uint8 if tiff.palette is not None else tiff.dtype).max
+    if tiff.palette is not None:
+        return image_height / np.iinfo(tiff.palette.dtype).max, 0.0
+    largest = 1 if tiff.dtype.kind == "b" else np.iinfo(tiff.dtype).max
     return (-image_height / largest, image_height) if tiff.is_inverted else (image_height / largest, 0.0)
 
 

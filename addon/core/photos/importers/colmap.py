@@ -10,7 +10,7 @@ from .camera_notes import CameraNotes, UnusableCameraError
 from .reading import BinaryReader, ReadSize, read_file, read_text_lines, rotation_of_quaternion
 
 EXTENSIONS = (".bin", ".txt")
-PARAMETER_COUNTS = {  # of lens models, in the order of their numbers in binary files, also of those that no model here equals
+PARAMETER_COUNTS = {  # Lens models in the order of their numbers in binary files, also those that no model here equals.
     "SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "OPENCV": 8, "OPENCV_FISHEYE": 8, "FULL_OPENCV": 12, "FOV": 5,
     "SIMPLE_RADIAL_FISHEYE": 4, "RADIAL_FISHEYE": 5, "THIN_PRISM_FISHEYE": 12, "RAD_TAN_THIN_PRISM_FISHEYE": 16, "SIMPLE_DIVISION": 4,
     "DIVISION": 5, "SIMPLE_FISHEYE": 3, "FISHEYE": 4, "EUCM": 6, "EQUIRECTANGULAR": 2,
