@@ -20,7 +20,7 @@ WEIGHTS = (
     "Coat Weight",
     "Sheen Weight",
     "Thin Film Thickness",
-)  # of Principled BSDF
+)  # Inputs of a Principled BSDF.
 MAX_SHADERS = 64  # mixed with each other
 WHITE = ColorProduct()
 
