@@ -26,14 +26,14 @@ IMPORTERS = ("open_scene", "open_near_origin", "read_image", "write_damaged", "_
 @dataclass(frozen=True)
 class BatchOptions:
     """sandbox: a folder that may be deleted. case_seconds: time limit of a case. keep: whether to keep folders of cases with problems.
-    worker: the script that runs the cases."""
+    worker: the script that runs the cases, None for WORKER."""
 
     seed: int
     sandbox: Path
     case_seconds: float
     memory_gb: float
     keep: bool
-    worker: Path = WORKER
+    worker: Path | None = None
 
 
 def run_cases(tool: str, cases: Sequence[int], options: BatchOptions, on_wait: Callable[[], None]) -> Iterator[dict[str, Any]]:
@@ -69,7 +69,7 @@ def _run_worker(tool: str, cases: list[int], options: BatchOptions, on_wait: Cal
     }
     with (sandbox / "worker.txt").open("w", encoding="utf-8") as output:
         process = subprocess.Popen(
-            [sys.executable, str(options.worker), str(specification)],
+            [sys.executable, str(options.worker or WORKER), str(specification)],
             cwd=environment.ROOT,
             env=variables,
             stdin=subprocess.DEVNULL,
