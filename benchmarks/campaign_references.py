@@ -122,7 +122,8 @@ def _read_tiff(path: Path) -> np.ndarray:
         if page.bitspersample == 1:
             from PIL import Image
 
-            return np.array(Image.open(path).convert("L"))
+            image = Image.open(path)
+            return np.array(image.convert("RGB" if image.mode == "P" else "L"))
         pixels = page.asarray()
         if page.photometric == tifffile.PHOTOMETRIC.PALETTE:
             return np.moveaxis(page.colormap[:, pixels] // 257, 0, -1).astype(np.uint8)
