@@ -6,11 +6,10 @@ from collections.abc import Callable
 import bpy
 
 from ..compat import blender_version
+from ..core.bundled_modules import BUNDLED_MODULES
 from ..core.errors import Cancelled, FarfieldError
 from ..core.files.defect_log import defect_message, write_defect_log
 from ..core.messages import single_line
-
-BUNDLED_MODULES = {"PIL", "fast_simplification", "scipy", "tifffile", "threadpoolctl", "xatlas"}  # the wheels in the zip
 
 
 def describe_error(error: Exception, title: str) -> str:

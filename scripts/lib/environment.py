@@ -17,6 +17,7 @@ import hashlib
 import importlib.metadata
 import importlib.util
 import os
+import runpy
 import shutil
 import signal
 import subprocess
@@ -29,7 +30,7 @@ from typing import NamedTuple, NoReturn
 
 ROOT = Path(__file__).resolve().parents[2]
 REQUIRED_MODULES = ("numpy", "scipy")  # by every tool
-BUNDLED_MODULES = ("xatlas", "fast_simplification", "threadpoolctl", "tifffile", "PIL")  # in the locks and the zip, for some tools
+BUNDLED_MODULES = runpy.run_path(str(ROOT / "addon" / "core" / "bundled_modules.py"))["BUNDLED_MODULES"]
 STAMP_FILE = "farfield-lock"  # in an environment: the digest of the lock that it was created from, or UNFINISHED
 UNFINISHED = "unfinished"
 IS_WINDOWS = os.name == "nt"
@@ -168,7 +169,7 @@ def _missing_modules(modules: tuple[str, ...]) -> list[str]:
 
 def _is_user_environment_complete(lock: Lock, extra_modules: tuple[str, ...]) -> bool:
     """True if the user's own environment has every package and neither variable selects another one."""
-    if os.environ.get("FARFIELD_VENV") or _missing_modules(("bpy", *REQUIRED_MODULES, *BUNDLED_MODULES, *extra_modules)):
+    if os.environ.get("FARFIELD_VENV") or _missing_modules(("bpy", "numpy", *BUNDLED_MODULES, *extra_modules)):
         return False
     try:
         version = importlib.metadata.version("bpy").split(".")

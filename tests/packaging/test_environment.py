@@ -31,8 +31,9 @@ pytestmark = pytest.mark.once
 def project(tmp_path) -> Path:
     """A minimal checkout: the script that creates environments, and a lock without packages."""
     root = tmp_path / "Ein Wald 樹"
-    (root / "scripts" / "lib").mkdir(parents=True)
-    shutil.copy2(environment.ROOT / "scripts" / "lib" / "environment.py", root / "scripts" / "lib")
+    for path in (Path("scripts", "lib", "environment.py"), Path("addon", "core", "bundled_modules.py")):
+        (root / path).parent.mkdir(parents=True)
+        shutil.copy2(environment.ROOT / path, root / path)
     (root / "scripts" / "job.py").write_text(SCRIPT, encoding="utf-8")
     (root / "requirements").mkdir()
     (root / "requirements" / LOCK.path.name).write_text("# no packages\n", encoding="utf-8")
