@@ -6,7 +6,13 @@ from pathlib import Path
 import pytest
 
 from farfield.addon.core.bdam.building import store_target
-from farfield.addon.core.bdam.building.store_target import check_target, delete_work_folder, replace_store, work_folder_path
+from farfield.addon.core.bdam.building.store_target import (
+    check_target,
+    delete_work_folder,
+    recover_store,
+    replace_store,
+    work_folder_path,
+)
 from farfield.addon.core.bdam.store.structure import STRUCTURE_FILE
 from farfield.addon.core.errors import FileError
 
@@ -29,6 +35,7 @@ def make_store(folder: Path, content: bytes) -> Path:
 def replace(out: Path, content: bytes) -> None:
     """Do what a build does."""
     check_target(out)
+    recover_store(out)
     with replace_store(out) as new:
         make_store(new, content)
 
@@ -120,7 +127,10 @@ def test_whenever_it_is_killed_one_terrain_is_there_and_the_next_build_finishes(
         died = True
     assert died == (moment < 3), "there are three renames"
     monkeypatch.undo()
+    before = names_in(store.parent)
     check_target(store)
+    assert names_in(store.parent) == before, "a check renames nothing"
+    recover_store(store)
     assert (store / STRUCTURE_FILE).read_bytes() == (b"old" if moment < 2 else b"new")
     replace(store, b"newer")
     assert (store / STRUCTURE_FILE).read_bytes() == b"newer"

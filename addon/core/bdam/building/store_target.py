@@ -11,17 +11,17 @@ from ...files.backups import backup_path
 from ...files.file_access import check_writable, convert_os_errors, resolve_links
 from ...files.temporary_folders import temporary_folder
 from ...jobs.job_folder import JOB_FILE
+from ...messages import list_first
 from ..store.structure import STRUCTURE_FILE, find_structure
 from ..store.terrain_store import GEOMETRY_FILE, TEXTURE_FOLDER
 from ..textures import store as texture_store
 
 WORK_SUFFIX, OLD_SUFFIX = ".farfield-build", ".farfield-replaced"  # hidden folders next to a store are called `.NAME.farfield-build`
-STORE_FILES = {path.name for name in (STRUCTURE_FILE, GEOMETRY_FILE) for path in (Path(name), backup_path(Path(name)))}
-TEXTURE_FILES = {
-    path.name for name in (texture_store.STRUCTURE_FILE, texture_store.TILES_FILE) for path in (Path(name), backup_path(Path(name)))
-}
+STORE_FILES, TEXTURE_FILES = (
+    {path.name for name in names for path in (Path(name), backup_path(Path(name)))}
+    for names in ((STRUCTURE_FILE, GEOMETRY_FILE), (texture_store.STRUCTURE_FILE, texture_store.TILES_FILE))
+)
 SYSTEM_FILES = {".DS_Store", "Thumbs.db", "desktop.ini"}  # File managers write them into any folder.
-MAX_NAMED = 3  # other files that a message names
 
 
 def work_folder_path(out: Path) -> Path:
@@ -41,15 +41,26 @@ def check_target(out: Path) -> None:
             raise FileError(f'"{out}" cannot become a terrain; choose a folder with a name.')
         if target.exists() and not target.is_dir():
             raise FileError(f'"{out}" is a file; choose a folder for the terrain.')
-        _recover(target)
         others = _find_other_files(target)
         if others:
-            names = ", ".join(f'"{name}"' for name in others[:MAX_NAMED]) + (", ..." if len(others) > MAX_NAMED else "")
+            names = list_first(f'"{name}"' for name in others)
             raise FileError(f'"{out}" contains other files ({names}); choose an empty or a new folder for the terrain.')
         check_writable(target / STRUCTURE_FILE)
         work = work_folder_path(out)
         if not _is_work_folder(work):
             raise FileError(f'"{work}" contains other files, but the build needs that folder; rename it, or choose another name.')
+
+
+def recover_store(out: Path) -> None:
+    """Give a terrain its name back if a run was killed between the two renames that replace it, and it is the only one.
+
+    Raises:
+        FileError: it cannot be renamed.
+    """
+    target, old = resolve_links(out), _hidden_path(out, OLD_SUFFIX)
+    with convert_os_errors(f'"{out}" cannot be used'):
+        if not target.exists() and _is_store(old):
+            old.rename(target)
 
 
 @contextmanager
@@ -70,12 +81,13 @@ def replace_store(out: Path) -> Iterator[Path]:
             if _is_store(old):  # A run was killed before it could delete it.
                 old.rename(temporary / "older")
             if target.is_dir():
-                _check_is_free(old)
+                if old.exists():
+                    raise FileError(f'"{old}" exists, but the terrain that is replaced needs that name for a moment; rename or delete it.')
                 target.rename(old)
             try:
                 new.rename(target)
             except OSError:
-                _recover(target)
+                recover_store(out)
                 raise
             if _is_store(old):
                 old.rename(temporary / "old")  # The end of the block deletes it, or the next run if this one is killed now.
@@ -96,19 +108,6 @@ def delete_work_folder(folder: Path) -> None:
 def _hidden_path(out: Path, suffix: str) -> Path:
     target = resolve_links(out)
     return target.with_name(f".{target.name}{suffix}")
-
-
-def _recover(target: Path) -> None:
-    """Give a terrain its name back if a run was killed between the two renames that replace it, and it is the only one. Raises OSError."""
-    old = _hidden_path(target, OLD_SUFFIX)
-    if not target.exists() and _is_store(old):
-        old.rename(target)
-
-
-def _check_is_free(path: Path) -> None:
-    """Raise FileError if a folder that has to be written exists."""
-    if path.exists():
-        raise FileError(f'"{path}" exists, but the terrain that is replaced needs that name for a moment; rename or delete it.')
 
 
 def _is_work_folder(work: Path) -> bool:

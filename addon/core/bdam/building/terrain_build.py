@@ -23,7 +23,7 @@ from ..settings import BdamSettings
 from ..store.structure import Level, StoreHeader
 from .finish import write_geometry
 from .heights import choose_height_step, fill_holes, write_heights
-from .store_target import check_target, delete_work_folder, replace_store, work_folder_path
+from .store_target import check_target, delete_work_folder, recover_store, replace_store, work_folder_path
 from .texture_stage import TextureWork, build_texture_tiles, decode_images, plan_textures, write_texture_store
 from .work_folder import HEIGHTS_FILE, PARAMETERS_FILE, BuildParameters, LevelLayout, WorkFolder
 
@@ -86,6 +86,7 @@ def build_terrain(
     """
     check_target(out)
     check_executor(settings.executor)
+    recover_store(out)
     clock = StageClock()
     header = _create_header(field, settings, has_texture=bool(images))
     textures = plan_textures(field, header.tree, images, settings)

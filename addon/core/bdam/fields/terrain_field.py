@@ -14,7 +14,7 @@ from ...heights.positions import center_scale, warn_of_stretch
 from ...heights.readers import open_source
 from ...heights.sources import HeightSource, ReadImage, SourceContext
 from ...heights.voids import Void, find_voids, mask_voids, name_voids
-from ...messages import format_count
+from ...messages import format_count, list_first
 from .mosaics import Mosaic, check_source, join
 
 CHECK_SAMPLES = 1 << 22  # heights that are read at once when all are checked
@@ -122,7 +122,7 @@ def check_heights(terrain: TerrainField) -> tuple[str, ...]:
         FileError: no height is known, or a file is damaged.
     """
     if not any(np.isfinite(heights).any() for source in terrain.mosaic.sources for heights in _read_all(source)):
-        names = ", ".join(f'"{source.path}"' for source in terrain.mosaic.sources[:3])
+        names = list_first(f'"{source.path}"' for source in terrain.mosaic.sources)
         raise FileError(f"{names} contains no known height: all are marked as missing; use another file.")
     differing = 0
     for first, second, (rows, columns) in terrain.mosaic.find_common_edges():
