@@ -42,6 +42,7 @@ from farfield.addon.core.errors import FileError, SettingsError
 from farfield.addon.core.files.scratch import Scratch
 from farfield.addon.core.geometry.viewers import Projection, Viewer, camera_window, look_at
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
+from farfield.addon.core.messages import list_first
 from farfield.addon.core.settings import add_flags
 from farfield.addon.operators.bdam.job import ShowJob
 from farfield.addon.operators.job_run import run_job
@@ -192,7 +193,7 @@ def verify(given: Namespace) -> str:
         figures = describe_store(store) | {"max_error_px": None, "damaged": damaged}
     write_report(given, figures, clock.seconds)
     if damaged:
-        names = ", ".join(damaged[:MAX_NAMED]) + (", and others" if len(damaged) > MAX_NAMED else "")
+        names = list_first(damaged, MAX_NAMED)
         raise FileError(f'"{given.store}" is damaged in {len(damaged):,} parts: {names}; the rest can be used, or build the terrain again.')
     return f'"{given.store.name}": {figures["patches"]:,} patches and {figures["tiles"]:,} texture tiles are undamaged.'
 

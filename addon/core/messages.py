@@ -9,14 +9,24 @@ from collections.abc import Iterable, Sequence
 NOT_PRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # Control characters and line separators.
 QUOTED_OR_NUMBER = re.compile(r'"([^"]*)"|\d[\d,.]*(?<=\d)')
 NOT_UNICODE = re.compile("[\ud800-\udfff]")  # Python decodes bytes that are not UTF-8 to these code points.
-
-
 PLURALS = {"vertex": "vertices", "patch": "patches", "box": "boxes"}  # that do not end in a mere s
+MAX_NAMED = 3  # things of a kind that a message names
 
 
 def format_count(number: int, noun: str) -> str:
     """Return `number` with its noun: "1 hole", "1,200 holes"."""
     return f"{number:,} {noun if number == 1 else PLURALS.get(noun, noun + 's')}"
+
+
+def quote_names(names: Iterable[object]) -> str:
+    """Return names in quotation marks, separated by commas."""
+    return ", ".join(f'"{name}"' for name in names)
+
+
+def list_first(texts: Iterable[str], max_count: int = MAX_NAMED) -> str:
+    """Return the first texts, separated by commas, and how many there are besides: `a, b, c and 4 more`."""
+    texts = list(texts)
+    return ", ".join(texts[:max_count]) + (f" and {len(texts) - max_count:,} more" if len(texts) > max_count else "")
 
 
 def format_bytes(count: int) -> str:

@@ -7,6 +7,7 @@ import bpy
 import numpy as np
 
 from ...core.files.glb_materials import BLEND, MASK, OPAQUE, GlbMaterial, GlbTexture, is_placement
+from ...core.messages import quote_names
 from ..geometry.evaluated_mesh import EvaluatedMesh
 from ..shading.surface_reader import MaterialSurface, read_surface
 from ..shading.texture_uses import TextureUse
@@ -153,8 +154,8 @@ def describe_unread(unread: dict[str, tuple[str, ...]], place: str) -> list[str]
     """Return sentences about what `place`, such as "The file", lacks of materials."""
     by_content: dict[tuple[str, ...], list[str]] = {}
     for name, labels in unread.items():
-        by_content.setdefault(labels, []).append(f'"{name}"')
-    return [f"{place} lacks {', '.join(labels)} of {', '.join(names)}." for labels, names in by_content.items()]
+        by_content.setdefault(labels, []).append(name)
+    return [f"{place} lacks {', '.join(labels)} of {quote_names(names)}." for labels, names in by_content.items()]
 
 
 def _image_key(use: TextureUse | None) -> Key:

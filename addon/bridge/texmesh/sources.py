@@ -10,7 +10,7 @@ from ...core.geometry.edges import find_edges
 from ...core.geometry.local_origin import describe_coarseness, find_local_origin
 from ...core.geometry.mesh import TriangleMesh, face_areas_and_normals
 from ...core.geometry.transforms import signed_areas
-from ...core.messages import format_count
+from ...core.messages import format_count, quote_names
 from ...core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 from ..geometry.evaluated_mesh import EvaluatedMesh
 from ..geometry.joined_meshes import read_joined_mesh
@@ -110,8 +110,7 @@ def _read_textures(
         remarks.append(f'"{item.name}" has no image texture; only its geometry counts.')
     mixed = [images[0][0].name for images in all_found if len(images) > 1]
     if mixed:
-        names = ", ".join(f'"{name}"' for name in dict.fromkeys(mixed))
-        remarks.append(f'Materials of "{item.name}" mix images; only {names} counts, bake them to count all.')
+        remarks.append(f'Materials of "{item.name}" mix images; only {quote_names(dict.fromkeys(mixed))} counts, bake them to count all.')
     return uv_map, tuple(textures), remarks
 
 

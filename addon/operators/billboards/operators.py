@@ -13,7 +13,7 @@ from .. import long_work, properties, start_job
 from ..error_reports import report_message, reports_errors
 from .estimates import cache, estimate_key
 from .job import BillboardJob, prepare_job
-from .sources import describe_exceptions, missing_original_message, quote_names
+from .sources import describe_exceptions, missing_original_message, quote_clouds
 
 SHOW_ITEMS = [
     ("TOGGLE", "Toggle", "Show the cloud if its original is visible, otherwise the original"),
@@ -120,7 +120,7 @@ class FARFIELD_OT_billboards_show(bpy.types.Operator):
                 cloud.show_sources()
             cloud.activate_visible(context)
         exceptions = describe_exceptions(scene_clouds, refused, view_layer)
-        message = f"Showing the {'cloud' if show_cloud else 'original'} of {quote_names(changed)}." if changed else "Nothing changed."
+        message = f"Showing the {'cloud' if show_cloud else 'original'} of {quote_clouds(changed)}." if changed else "Nothing changed."
         report_message(self, f"{message} {exceptions}".strip(), "WARNING" if exceptions else "INFO")
         return {"FINISHED" if changed else "CANCELLED"}
 
@@ -149,7 +149,7 @@ class FARFIELD_OT_billboards_crossfade(bpy.types.Operator):
             cloud.add_crossfade(context, fade_range)
             cloud.activate_visible(context)
         exceptions = describe_exceptions(scene_clouds, refused, context.view_layer)
-        message = f"Cross-fading for the active camera: {quote_names(scene_clouds)}." if scene_clouds else "Nothing changed."
+        message = f"Cross-fading for the active camera: {quote_clouds(scene_clouds)}." if scene_clouds else "Nothing changed."
         report_message(self, f"{message} {exceptions}".strip(), "WARNING" if exceptions else "INFO")
         return {"FINISHED" if scene_clouds else "CANCELLED"}
 

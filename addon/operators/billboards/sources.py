@@ -13,7 +13,7 @@ from ...bridge.billboards.source_objects import read_source_objects
 from ...bridge.geometry import meshes
 from ...bridge.objects import temporarily_visible
 from ...core.errors import GeometryError
-from ...core.messages import join_sentences
+from ...core.messages import join_sentences, quote_names
 
 
 def read_sources(context: bpy.types.Context, objects: Sequence[bpy.types.Object], combine: bool) -> tuple[list[meshes.Source], list[str]]:
@@ -92,9 +92,9 @@ def _read_surfaces(
     return [meshes.read_source([item], depsgraph) for item in objects if item.name in names]
 
 
-def quote_names(scene_clouds: Sequence[SceneCloud]) -> str:
+def quote_clouds(scene_clouds: Sequence[SceneCloud]) -> str:
     """Return the names of the clouds in quotation marks, separated by commas."""
-    return ", ".join(f'"{cloud.collection.name}"' for cloud in scene_clouds)
+    return quote_names(cloud.collection.name for cloud in scene_clouds)
 
 
 def linked_sources_message(names: Sequence[str]) -> str:
@@ -104,7 +104,7 @@ def linked_sources_message(names: Sequence[str]) -> str:
 
 def missing_original_message(cloud: SceneCloud) -> str:
     """Return that the original of `cloud` is missing, with the names of missing objects, as the end of a sentence."""
-    names = ", ".join(f'"{name}"' for name in cloud.missing_source_names)
+    names = quote_names(cloud.missing_source_names)
     return f"its original {names} was not found" if names else "its original was not found"
 
 
@@ -119,7 +119,7 @@ def describe_exceptions(scene_clouds: Sequence[SceneCloud], refused: Sequence[Sc
         linked_sources_message(linked) if linked else "",
         f"Original not found: {', '.join(missing)}." if missing else "",
         f"Not in the view layer: {', '.join(dict.fromkeys(absent))}." if absent else "",
-        f"Unchanged, linked from a library: {quote_names(refused)}; make local copies first." if refused else "",
+        f"Unchanged, linked from a library: {quote_clouds(refused)}; make local copies first." if refused else "",
     ]
     return join_sentences(sentences)
 

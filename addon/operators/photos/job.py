@@ -19,7 +19,7 @@ from ...core.geometry.local_origin import describe_coarseness
 from ...core.geometry.mesh import face_areas_and_normals
 from ...core.geometry.transforms import signed_areas
 from ...core.jobs.progress import Progress, Steps, subprogress
-from ...core.messages import format_count, join_sentences
+from ...core.messages import format_count, join_sentences, quote_names
 from ...core.photos.merging import merge
 from ...core.photos.photo_texture import PhotoTexture
 from ...core.photos.settings import PhotosSettings
@@ -114,9 +114,8 @@ class MergeJob:
 
     def _summarize(self, images: list[str], texture: PhotoTexture) -> str:
         surface = np.count_nonzero(texture.holes | (texture.source >= 0))
-        shown = ", ".join(f'"{image}"' for image in images)
         message = (
-            f"Merged {format_count(len(self.sources), 'photograph')} into {shown}; "
+            f"Merged {format_count(len(self.sources), 'photograph')} into {quote_names(images)}; "
             f"{np.count_nonzero(texture.holes) / max(surface, 1):.1%} of the surface is in none."
         )
         if texture.hole_counts is not None:

@@ -16,7 +16,7 @@ from ...core.errors import ImageError
 from ...core.files.atomic_write import atomic_folder
 from ...core.files.filenames import safe_filename
 from ...core.jobs.progress import Progress, Steps, subprogress
-from ...core.messages import format_count
+from ...core.messages import format_count, quote_names
 from ...core.restore.restoration import restore
 from ...core.restore.settings import MaskSettings, RestoreSettings
 from .. import image_editors
@@ -93,8 +93,7 @@ class RestoreJob:
         image_editors.show_image(self.editor, image)
         message = f'Restored {format_count(missing_count, "pixel")} of "{source.name}" as "{image.name}".'
         if skipped:
-            names = ", ".join(f'"{name}"' for name in dict.fromkeys(skipped))
-            message += f" Not replaced in linked or overridden data: {names}."
+            message += f" Not replaced in linked or overridden data: {quote_names(dict.fromkeys(skipped))}."
         return message
 
 

@@ -3,8 +3,9 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from ...messages import list_first
+
 UNUSED_MASKS = "The masks that the camera file names are not used; give the folder of the masks."
-MAX_NAMES = 3  # photographs that a note names for each reason
 
 
 class UnusableCameraError(Exception):
@@ -25,7 +26,7 @@ class CameraNotes:
         try:
             yield
         except UnusableCameraError as error:
-            self._skipped.setdefault(str(error), []).append(name)
+            self._skipped.setdefault(str(error), []).append(f'"{name}"')
 
     def remark(self, sentence: str) -> None:
         """Add a sentence, once."""
@@ -35,15 +36,9 @@ class CameraNotes:
     @property
     def skipped(self) -> str:
         """The skipped photographs with the reasons, without a period; empty if there are none."""
-        return "; ".join(f"{_list_names(names)} ({reason})" for reason, names in self._skipped.items())
+        return "; ".join(f"{list_first(names)} ({reason})" for reason, names in self._skipped.items())
 
     @property
     def sentences(self) -> list[str]:
         """All notes."""
         return ([f"Skipped: {self.skipped}."] if self._skipped else []) + self._remarks
-
-
-def _list_names(names: list[str]) -> str:
-    shown = ", ".join(f'"{name}"' for name in names[:MAX_NAMES])
-    count = len(names) - MAX_NAMES
-    return f"{shown} and {count:,} more" if count > 0 else shown
