@@ -20,11 +20,13 @@ environment.import_farfield()
 
 import bpy
 
+from farfield.addon.core.files.file_access import check_writable
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
 from farfield.addon.core.messages import format_count, join_sentences
 from farfield.addon.core.packages.files import check_package_folder, read_package
+from farfield.addon.core.packages.manifest import MANIFEST
 from farfield.addon.core.packages.package import PackageReport
-from farfield.addon.core.packages.settings import PackageSettings
+from farfield.addon.core.packages.settings import FIXED_LEVEL_SETTINGS, PackageSettings
 from farfield.addon.core.settings import add_flags, describe, from_flags
 from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.operators.job_run import run_job
@@ -34,9 +36,8 @@ from lib.connection_rate import ConnectionRate, parse_rate
 from lib.texmesh_inputs import open_objects, read_level_settings
 
 LOOPBACK = "127.0.0.1"
-FIXED = ("vertices", "rebake_textures")  # settings of levels that packages do not leave open
 DEFAULT_PORT = 8765
-PACKAGES = run_files.PathType(is_output=True, is_folder=True, check=check_package_folder)
+PACKAGES = run_files.PathType(is_output=True, is_folder=True, check=lambda folder: check_writable(folder / MANIFEST))
 
 
 def build_parser() -> command_line.Parser:
@@ -47,7 +48,7 @@ def build_parser() -> command_line.Parser:
     build.add_argument("input", type=run_files.INPUT, help="a .blend .obj .ply .stl .glb .gltf .fbx or .usd file")
     build.add_argument("--out", type=PACKAGES, required=True, help="the folder to write; one folder in it per object")
     build.add_argument("--report", type=run_files.REPORT, help="write a report of the run to this JSON file")
-    add_flags(build, TexmeshSettings, [item.name for item in describe(TexmeshSettings) if item.name not in FIXED])
+    add_flags(build, TexmeshSettings, [item.name for item in describe(TexmeshSettings) if item.name not in FIXED_LEVEL_SETTINGS])
     add_flags(build, PackageSettings)
     verify = commands.add_parser("verify", description="Check every byte of a package.")
     serve = commands.add_parser("serve", description="Serve a package over HTTP, by default on this machine only.")

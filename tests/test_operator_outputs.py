@@ -81,6 +81,23 @@ def test_a_package_replaces_no_other_page(folder):
     assert 'contains "index.html", but no package' in refusal(call, folder)
 
 
+def test_packages_of_several_objects_replace_only_their_folders(folder):
+    """The folder above them may have a page of its own."""
+    ball = bpy.context.active_object
+    textured_ball(6, "Second").select_set(True)
+    ball.select_set(True)
+    other = folder / "site" / "Second"
+    other.mkdir(parents=True)
+    (folder / "site" / "index.html").write_text("My page")
+    (other / "index.html").write_text("My other page")
+    call = lambda: bpy.ops.farfield.packages_export(folder=str(folder / "site"))  # noqa: E731
+    assert f'The folder "{other}" contains "index.html", but no package' in refusal(call, folder)
+    (other / "index.html").unlink()
+    levels = {name: value for name, value in SMALL.items() if name != "vertices"}
+    assert bpy.ops.farfield.packages_export(folder=str(folder / "site"), pixels=96, tile_size=32, **levels) == {"FINISHED"}
+    assert (folder / "site" / "index.html").read_text() == "My page" and (other / "index.html").is_file()
+
+
 def test_a_terrain_contains_no_input_of_its_build(folder):
     store = folder / "store"
     store.mkdir()

@@ -91,19 +91,24 @@ def from_blender(description: Description, value: Any) -> Any:
 
 
 def read(settings_type: type[Settings], owner: Any) -> Settings:
-    """Return the settings held by `owner`, a property group or operator with properties from `build_annotations`.
+    """Return the settings held by `owner`, a property group or operator with properties from `build_annotations`. Settings for which it has
+    no property keep their defaults.
 
     Raises:
         SettingsError: a value is out of range.
     """
-    return settings_type(**{item.name: from_blender(item, getattr(owner, item.name)) for item in describe(settings_type)})
+    return settings_type(**{item.name: from_blender(item, getattr(owner, item.name)) for item in _find_properties(settings_type, owner)})
 
 
 def fill_unset(settings_type: type[Settings], operator: bpy.types.Operator, group: bpy.types.PropertyGroup) -> None:
     """Set the properties that the caller of `operator` left unset to the values in the panel's `group`."""
-    for description in describe(settings_type):
+    for description in _find_properties(settings_type, operator):
         if not operator.properties.is_property_set(description.name):
             setattr(operator, description.name, getattr(group, description.name))
+
+
+def _find_properties(settings_type: type[Settings], owner: Any) -> list[Description]:
+    return [item for item in describe(settings_type) if hasattr(owner, item.name)]
 
 
 def _round(value: float) -> float:

@@ -87,6 +87,11 @@ def test_several_objects_have_folders_and_equal_ones_the_same_bytes(two_packages
         assert (first / name).read_bytes() == (second / name).read_bytes()
 
 
+def test_settings_that_packages_determine_are_no_properties():
+    names = set(bpy.ops.farfield.packages_export.get_rna_type().properties.keys())
+    assert {"levels", "drastic_simplification", "pixels"} <= names and not names & {"vertices", "rebake_textures"}
+
+
 def test_a_folder_is_needed():
     textured_ball(8)
     with pytest.raises(RuntimeError, match="set Folder"):

@@ -15,7 +15,7 @@ from ...core.jobs.progress import Progress, Steps, subprogress
 from ...core.messages import join_sentences
 from ...core.packages.files import check_package_folder, write_package
 from ...core.packages.package import PackageReport, build_package
-from ...core.packages.settings import PackageSettings
+from ...core.packages.settings import FIXED_LEVEL_SETTINGS, PackageSettings
 from ...core.texmesh.settings import TexmeshSettings
 from .. import properties, start_job
 from ..properties import absolute_path
@@ -34,7 +34,7 @@ class PackageJob:
         sources: the objects.
         settings: of the levels.
         package_settings: of the packages.
-        folder: of the package; for several objects it has a folder for each.
+        folders: of the packages, by object.
         skipped: names of other objects with the reason.
         reports: about the packages that are written.
     """
@@ -44,17 +44,16 @@ class PackageJob:
     sources: Sequence[PackageSource]
     settings: TexmeshSettings
     package_settings: PackageSettings
-    folder: Path
+    folders: Sequence[Path]
     skipped: list[str]
     reports: list[PackageReport] = field(default_factory=list)
 
     def core_steps(self) -> Steps[list[PackageReport]]:
         """Build and write the package of each object."""
-        names = unique_filenames([source.name for source in self.sources])
-        folders = [self.folder / name for name in names] if len(names) > 1 else [self.folder]
-        for index, (source, folder) in enumerate(zip(self.sources, folders, strict=True)):
+        count = len(self.sources)
+        for index, (source, folder) in enumerate(zip(self.sources, self.folders, strict=True)):
             steps = build_package(source.name, source.mesh, source.materials, source.textures, self.settings, self.package_settings)
-            package = yield from subprogress(steps, index / len(names), (index + 1) / len(names))
+            package = yield from subprogress(steps, index / count, (index + 1) / count)
             write_package(package.manifest, package.contents, folder)
             self.reports.append(package.report)
         return self.reports
@@ -83,8 +82,10 @@ class FARFIELD_OT_packages_export(start_job.StartJob, bpy.types.Operator):
     bl_options = {"REGISTER"}
     settings_types, panel_property = (TexmeshSettings,), "farfield_texmesh"
     disabled_reason = staticmethod(disabled_reason)
-    __annotations__ = start_job.setting_properties(TexmeshSettings, PackageSettings) | {
-        "folder": bpy.props.StringProperty(**FOLDER, options={"SKIP_SAVE", "PATH_SUPPORTS_BLEND_RELATIVE"})
+    __annotations__ = {
+        **{name: item for name, item in start_job.setting_properties(*settings_types).items() if name not in FIXED_LEVEL_SETTINGS},
+        **start_job.setting_properties(PackageSettings),
+        "folder": bpy.props.StringProperty(**FOLDER, options={"SKIP_SAVE", "PATH_SUPPORTS_BLEND_RELATIVE"}),
     }
 
     def prepare(self, context: bpy.types.Context) -> PackageJob:
@@ -96,9 +97,7 @@ class FARFIELD_OT_packages_export(start_job.StartJob, bpy.types.Operator):
         folder = self.folder or panel.folder
         if not folder:
             raise SettingsError("A package needs a folder; set Folder.", ("folder",))
-        path = absolute_path(folder)
-        check_scene_outputs([Output("the folder", path, check_package_folder, is_folder=True)])
-        return prepare_packages(context, source_objects(context), settings, package_settings, path)
+        return prepare_packages(context, source_objects(context), settings, package_settings, absolute_path(folder))
 
 
 def prepare_packages(
@@ -108,14 +107,17 @@ def prepare_packages(
     package_settings: PackageSettings,
     folder: Path,
 ) -> PackageJob:
-    """Return the job that writes packages of `objects`. Raises FarfieldError if none can be read.
+    """Return the job that writes packages of `objects` into `folder`, several into a folder for each.
 
-    The vertices of levels are those of the original, whatever `settings` say, so that levels can be sent one after the other.
+    Raises:
+        FarfieldError: no object can be read, or a package would replace something else.
     """
     sources, skipped = read_sources(context, objects, read_package_source)
     check_sizes(sources)
-    settings = replace(settings, vertices="original")
-    return PackageJob(sources, settings, package_settings, folder, skipped)
+    names = unique_filenames([source.name for source in sources])
+    folders = [folder / name for name in names] if len(names) > 1 else [folder]
+    check_scene_outputs([Output("the folder of a package", path, check_package_folder, is_folder=True) for path in folders])
+    return PackageJob(sources, replace(settings, **FIXED_LEVEL_SETTINGS), package_settings, folders, skipped)
 
 
 CLASSES = (FARFIELD_PG_packages, FARFIELD_OT_packages_export)
