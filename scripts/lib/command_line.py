@@ -79,12 +79,10 @@ class Parser(argparse.ArgumentParser):
             if isinstance(value, str) and not is_unicode(value):
                 self.error(f"{flag_of(name)} is not valid UTF-8 text; write it with other characters")
         parsed.files = RunFiles()
-        for action in self.path_arguments(getattr(parsed, "command", None)):
-            given = getattr(parsed, action.dest)
-            for path in given if isinstance(given, list) else [given]:
-                if path is not None:
-                    parsed.files.add_argument(argument_name(action), action.type, path)
-        parsed.files.check()
+        actions = self.path_arguments(getattr(parsed, "command", None))
+        values = [(argument_name(action), action.type, getattr(parsed, action.dest)) for action in actions]
+        paths = [(name, kind, path) for name, kind, value in values for path in (value if isinstance(value, list) else [value])]
+        parsed.files.check_arguments(item for item in paths if item[2] is not None)
         return parsed
 
     def path_arguments(self, command: str | None = None) -> list[argparse.Action]:

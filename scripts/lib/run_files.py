@@ -94,23 +94,24 @@ class RunFiles:
     inputs: list[Input] = field(default_factory=list)
     outputs: list[Output] = field(default_factory=list)
 
-    def add_argument(self, name: str, kind: PathType, path: Path) -> None:
-        """Add an argument that is given."""
-        if not kind.is_output:
-            self.inputs.append(Input(name, path, kind.is_closed))
-        elif not (kind.may_be_stream and is_stream(path)):
-            changes = THE_INPUT if kind.changes_scenes and path.suffix.lower() == ".blend" else ""
-            self.outputs.append(Output(name, path, kind.check, kind.is_folder, kind.is_exclusive, changes))
+    def check_arguments(self, arguments: Iterable[tuple[str, PathType, Path]]) -> None:
+        """Check the arguments that are given: their names, types and values. Raises FileError, see `check_outputs`."""
+        outputs, inputs = [], []
+        for name, kind, path in arguments:
+            if not kind.is_output:
+                inputs.append(Input(name, path, kind.is_closed))
+            elif not (kind.may_be_stream and is_stream(path)):
+                changes = THE_INPUT if kind.changes_scenes and path.suffix.lower() == ".blend" else ""
+                outputs.append(Output(name, path, kind.check, kind.is_folder, kind.is_exclusive, changes))
+        self.check(outputs, inputs)
 
     def check(self, outputs: Iterable[Output] = (), inputs: Iterable[Input] = ()) -> None:
-        """Check all files, with further ones.
-
-        Raises:
-            FileError: see `check_outputs`.
-        """
-        self.outputs += [output for output in outputs if output not in self.outputs]
-        self.inputs += inputs
-        check_outputs(self.outputs, self.inputs)
+        """Check all files if there are further ones. Raises FileError, see `check_outputs`."""
+        new_outputs, new_inputs = [output for output in outputs if output not in self.outputs], list(inputs)
+        self.outputs += new_outputs
+        self.inputs += new_inputs
+        if new_outputs or new_inputs:
+            check_outputs(self.outputs, self.inputs)
 
     def check_scene(self, path: Path | None = None) -> None:
         """Check the outputs against the files of the open scene, which was read from `path`. Images of earlier runs may be replaced.
@@ -119,8 +120,7 @@ class RunFiles:
             FileError: see `check_outputs`.
         """
         inputs = [*scene_inputs(), *(Input(FILE, other) for other in ([] if path is None else referenced_files(path)))]
-        self.inputs += [given for given in inputs if not is_own_png(given.path)]
-        check_outputs(self.outputs, self.inputs)
+        self.check(inputs=[given for given in inputs if not is_own_png(given.path)])
 
 
 def obj_materials(out: Path, materials: Path | None = None) -> list[Output]:
