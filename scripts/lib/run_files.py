@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import re
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -15,13 +14,13 @@ from lib import environment
 environment.import_farfield()
 
 from farfield.addon.bridge.scene_paths import FILE, scene_inputs
+from farfield.addon.core.files.far_meshes import parse_material_library
 from farfield.addon.core.files.file_access import check_writable, is_stream, is_unicode
 from farfield.addon.core.files.outputs import Input, Output, check_outputs, is_named_by
 from farfield.addon.core.messages import single_line
 from lib.contact_sheet import check_own_images, is_own_png
 
 MAX_SCENE_BYTES = 64 << 20  # Larger .gltf files are not searched for the names of others.
-MATERIAL_LIBRARY = re.compile(r"^mtllib\s+(.+?)\s*$", re.MULTILINE)
 MAX_HEADER_BYTES = 1 << 16
 THE_INPUT = "the input"  # the name of the argument `input` in messages
 
@@ -135,8 +134,8 @@ def referenced_files(path: Path) -> list[Path]:
     names: list[str] = []
     with suppress(OSError, ValueError, AttributeError, TypeError):  # Blender's importer says what is wrong
         if path.suffix.lower() == ".obj":
-            with path.open(encoding="utf-8", errors="replace") as file:
-                names = MATERIAL_LIBRARY.findall(file.read(MAX_HEADER_BYTES))
+            with path.open("rb") as file:
+                names = [name for line in file.read(MAX_HEADER_BYTES).splitlines() if (name := parse_material_library(line)) is not None]
         elif path.suffix.lower() == ".gltf" and path.stat().st_size <= MAX_SCENE_BYTES:
             document = json.loads(path.read_text(encoding="utf-8"))
             names = [unquote(buffer["uri"]) for buffer in document.get("buffers", []) if "uri" in buffer]

@@ -15,9 +15,9 @@ from farfield.addon.core.errors import FileError, GeometryError
 from farfield.addon.core.files.complete_files import is_complete_blend
 from farfield.addon.core.files.far_meshes import near_origin
 from farfield.addon.core.files.file_access import check_readable
+from farfield.addon.core.files.ply_headers import read_ply_header
 from farfield.addon.core.geometry.local_origin import describe_move
 from lib.atomic_output import atomic_file, blender_error_message
-from lib.ply_header import check_ply_header
 from lib.run_files import RunFiles
 from lib.script_stdout import mute_stderr
 
@@ -64,7 +64,7 @@ def _check_file(path: Path) -> None:
     if path.stat().st_size == 0:  # Blender 5.2 fails to map it into memory
         raise FileError(f'"{path}" is empty; export it again.')
     if path.suffix.lower() == ".ply":
-        check_ply_header(path)
+        read_ply_header(path)
 
 
 def _read(path: Path, given: Path) -> None:

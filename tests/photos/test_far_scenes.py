@@ -9,6 +9,8 @@ import pytest
 
 import photos
 from farfield.addon.bridge.imaging.images import read_pixels
+from farfield.addon.bridge.photos.camera_objects import import_mesh
+from farfield.addon.core.errors import FileError
 from farfield.addon.core.files.far_meshes import find_file_origin, near_origin
 from farfield.addon.core.geometry.local_origin import find_local_origin
 from image_data import read_image, write_image
@@ -159,3 +161,11 @@ def test_files_that_need_no_move_are_read_as_they_are(tmp_path):
 def test_the_local_origin_has_few_digits(points, origin):
     found = find_local_origin(np.array(points))
     assert (found is None) if origin is None else found.tolist() == origin
+
+
+def test_a_mesh_with_an_impossible_header_is_refused(tmp_path):
+    """Blender's reader would end the program."""
+    header = ply_header("binary_little_endian", "double").replace(b"vertex 4", b"vertex 2000000000")
+    (tmp_path / "a.ply").write_bytes(header)
+    with pytest.raises(FileError, match="more than the file can hold"):
+        import_mesh(tmp_path / "a.ply", is_y_up=False)

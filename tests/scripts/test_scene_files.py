@@ -10,8 +10,8 @@ import pytest
 from farfield.addon.bridge.geometry import meshes
 from farfield.addon.core.errors import FileError, GeometryError
 from farfield.addon.core.files.outputs import Output, check_outputs
+from farfield.addon.core.files.ply_headers import read_ply_header
 from lib import scene_files
-from lib.ply_header import check_ply_header
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 VERTEX = "property float x\nproperty float y\nproperty float z\n"
@@ -52,14 +52,14 @@ def test_absurd_ply_headers(counts, file_format, tmp_path):
 def test_files_without_a_ply_header(content, tmp_path):
     (tmp_path / "a.ply").write_bytes(content)
     with pytest.raises(FileError, match="no PLY header"):
-        check_ply_header(tmp_path / "a.ply")
+        read_ply_header(tmp_path / "a.ply")
 
 
 def test_a_header_with_lines_that_begin_with_a_space(tmp_path):
     """Blender's own reader may end the program."""
     path = ply(tmp_path / "a.ply", f" element vertex 3\n{VERTEX}", b"0 0 0\n1 0 0\n0 1 0\n", "ascii")
     with pytest.raises(FileError, match="begins with a space"):
-        check_ply_header(path)
+        read_ply_header(path)
 
 
 def test_valid_headers_are_read(tmp_path):

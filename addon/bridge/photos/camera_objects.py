@@ -10,7 +10,7 @@ import numpy as np
 
 from ...core.errors import FileError, SettingsError
 from ...core.files.far_meshes import near_origin
-from ...core.files.file_access import check_readable
+from ...core.files.ply_headers import read_ply_header
 from ...core.geometry.lenses import Lens, PhotoCamera
 from .photo_folders import PhotoFolder, strip_extension
 from .scene_cameras import TO_PHOTO_AXES, find_background, has_photograph, read_lens, store_lens
@@ -60,8 +60,9 @@ def import_mesh(path: Path, *, is_y_up: bool) -> np.ndarray | None:
     was moved to the origin, because its coordinates are too large for single precision, otherwise None. Raises FileError."""
     forward, up = ("NEGATIVE_Z", "Y") if is_y_up else ("Y", "Z")
     importer = bpy.ops.wm.obj_import if path.suffix.lower() == ".obj" else bpy.ops.wm.ply_import
+    if path.suffix.lower() == ".ply":
+        read_ply_header(path)
     with near_origin(path) as (near, origin):
-        check_readable(path)
         try:
             importer(filepath=str(near), forward_axis=forward, up_axis=up)
         except RuntimeError as error:  # raised by Blender's operators

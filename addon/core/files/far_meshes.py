@@ -4,24 +4,22 @@ digits, and written near the origin."""
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
+from ..errors import FileError
 from ..geometry.local_origin import find_local_origin
 from .file_access import check_readable, convert_os_errors, has_companion
+from .ply_headers import ASCII, PlyHeader, read_ply_header
 from .temporary_folders import temporary_folder
 
 EXTENSIONS = (".obj", ".ply")
 FIRST_VERTICES = 1000  # Nearly all files are known to be near the origin by these.
 OBJ_VERTEX = re.compile(rb"\s*v\s")
-MAX_HEADER_LINES = 1000
-PLY_TYPES = {
-    **dict.fromkeys(("char", "int8"), "i1"), **dict.fromkeys(("uchar", "uint8"), "u1"), **dict.fromkeys(("short", "int16"), "i2"),
-    **dict.fromkeys(("ushort", "uint16"), "u2"), **dict.fromkeys(("int", "int32"), "i4"), **dict.fromkeys(("uint", "uint32"), "u4"),
-    **dict.fromkeys(("float", "float32"), "f4"), **dict.fromkeys(("double", "float64"), "f8"),
-}  # fmt: skip
+MATERIAL_LIBRARY = re.compile(rb"mtllib\s+(.*\S)")
+BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 
 
 @contextmanager
@@ -44,13 +42,10 @@ def find_file_origin(path: Path) -> np.ndarray | None:
         return None
     check_readable(path)
     read = _read_obj_vertices if path.suffix.lower() == ".obj" else _read_ply_vertices
-    with convert_os_errors(f'Cannot read "{path}"'), path.open("rb") as file, np.errstate(all="ignore"):
+    with convert_os_errors(f'Cannot read "{path}"'), np.errstate(all="ignore"):
         try:
-            if find_local_origin(read(file, FIRST_VERTICES)) is None:
-                return None
-            file.seek(0)
-            return find_local_origin(read(file, None))
-        except (ValueError, IndexError, KeyError, OverflowError):  # Blender's importer tells what is wrong
+            return None if find_local_origin(read(path, FIRST_VERTICES)) is None else find_local_origin(read(path, None))
+        except (ValueError, IndexError, KeyError, OverflowError, FileError):  # Blender's importer tells what is wrong
             return None
 
 
@@ -61,11 +56,12 @@ def write_moved(path: Path, out: Path, origin: np.ndarray) -> None:
         if path.suffix.lower() == ".obj":
             for line in file:
                 result.write(_move_line(line, 1, origin) if OBJ_VERTEX.match(line) else line)
-                if line.startswith(b"mtllib"):
-                    _copy_materials(path, line[6:].decode(errors="replace").strip(), out.parent)
+                if (name := parse_material_library(line)) is not None:
+                    _copy_materials(path, name, out.parent)
             return
-        header, dtype, count = _read_ply_header(file)
-        result.write(header)
+        header = read_ply_header(path)
+        dtype, count = _describe_vertices(header)
+        result.write(file.read(header.size))
         if dtype is None:
             for _ in range(count):
                 result.write(_move_line(file.readline(), 0, origin))
@@ -78,10 +74,16 @@ def write_moved(path: Path, out: Path, origin: np.ndarray) -> None:
             result.write(block)
 
 
+def parse_material_library(line: bytes) -> str | None:
+    """Return the name of the file with materials in a line of an .obj file, None in other lines."""
+    found = MATERIAL_LIBRARY.match(line)
+    return None if found is None else found[1].decode(errors="replace")
+
+
 def _copy_materials(path: Path, name: str, folder: Path) -> None:
     """Copy the file with materials `name` of the mesh file `path` into `folder`, if it lies next to the mesh. Names of images become
     absolute paths."""
-    if not name or Path(name).name != name or not path.with_name(name).is_file():
+    if Path(name).name != name or not path.with_name(name).is_file():
         return
     lines = []
     for line in path.with_name(name).read_text(encoding="utf-8", errors="surrogateescape").splitlines():
@@ -99,18 +101,21 @@ def _move_line(line: bytes, first: int, origin: np.ndarray) -> bytes:
     return b" ".join([*values[:first], *moved, *values[first + 3 :]]) + b"\n"
 
 
-def _read_obj_vertices(file: BinaryIO, count: int | None) -> np.ndarray:
+def _read_obj_vertices(path: Path, count: int | None) -> np.ndarray:
     """Return the positions (N, 3) of the first `count` vertices, or all."""
-    lines = (line for line in file if OBJ_VERTEX.match(line))
-    return _to_positions(line.split()[1:4] for line, _ in zip(lines, _count_to(count), strict=False))
+    with path.open("rb") as file:
+        return _to_positions(line.split()[1:4] for line in islice((line for line in file if OBJ_VERTEX.match(line)), count))
 
 
-def _read_ply_vertices(file: BinaryIO, count: int | None) -> np.ndarray:
-    _, dtype, total = _read_ply_header(file)
+def _read_ply_vertices(path: Path, count: int | None) -> np.ndarray:
+    header = read_ply_header(path)
+    dtype, total = _describe_vertices(header)
     count = total if count is None else min(count, total)
-    if dtype is None:
-        return _to_positions(file.readline().split()[:3] for _ in range(count))
-    values = np.frombuffer(file.read(count * dtype.itemsize), dtype)
+    with path.open("rb") as file:
+        file.seek(header.size)
+        if dtype is None:
+            return _to_positions(line.split()[:3] for line in islice(file, count))
+        values = np.frombuffer(file.read(count * dtype.itemsize), dtype)
     return np.stack([values[axis] for axis in "xyz"], axis=1)
 
 
@@ -118,36 +123,14 @@ def _to_positions(rows: Iterator[list[bytes]]) -> np.ndarray:
     return np.array([[float(value) for value in row] for row in rows], np.float64).reshape(-1, 3)
 
 
-def _count_to(count: int | None) -> Iterator[int]:
-    return iter(range(count)) if count is not None else iter(int, 1)
-
-
-def _read_ply_header(file: BinaryIO) -> tuple[bytes, np.dtype | None, int]:
-    """Return the header, the layout of a vertex, None in a file of text, and the number of vertices. Raises ValueError unless vertices come
-    first, begin with x, y and z, and have more digits than single precision."""
-    lines, properties, kind, count, elements = [], [], b"", 0, 0
-    for _ in range(MAX_HEADER_LINES):
-        line = file.readline(MAX_HEADER_LINES)
-        lines.append(line)
-        words = line.split()
-        if words[:1] == [b"format"]:
-            kind = words[1]
-        elif words[:1] == [b"element"]:
-            elements += 1
-            if elements == 1:
-                if words[1] != b"vertex":
-                    raise ValueError("no vertices")
-                count = int(words[2])
-        elif words[:1] == [b"property"] and elements == 1:
-            properties.append((words[2].decode(), PLY_TYPES[words[1].decode()]))
-        elif words[:1] == [b"end_header"]:
-            break
-    names = [name for name, _ in properties[:3]]
-    if names != ["x", "y", "z"] or kind not in (b"ascii", b"binary_little_endian", b"binary_big_endian"):
+def _describe_vertices(header: PlyHeader) -> tuple[np.dtype | None, int]:
+    """Return the layout of a vertex, None in a file of text, and the number of vertices. Raises ValueError unless vertices come first,
+    begin with x, y and z, and have more digits than single precision."""
+    vertices = header.elements[0]
+    if vertices.name != "vertex" or vertices.has_lists or [name for name, _ in vertices.properties[:3]] != ["x", "y", "z"]:
         raise ValueError("another layout")
-    if kind == b"ascii":
-        return b"".join(lines), None, count
-    if any(dtype != "f8" for _, dtype in properties[:3]):
+    if header.file_format == ASCII:
+        return None, vertices.count
+    if any(kind != "f8" for _, kind in vertices.properties[:3]):
         raise ValueError("no more digits")
-    order = "<" if kind == b"binary_little_endian" else ">"
-    return b"".join(lines), np.dtype([(name, order + dtype) for name, dtype in properties]), count
+    return np.dtype([(name, BYTE_ORDERS[header.file_format] + kind) for name, kind in vertices.properties]), vertices.count
