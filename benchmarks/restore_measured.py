@@ -39,7 +39,7 @@ def main(arguments: list[str], _line: command_line.ProgressLine) -> str:
     started = time.perf_counter()
     restoration = run_to_end(restore(image, mask, RestoreSettings()))
     seconds = time.perf_counter() - started
-    figures = {"seconds": round(seconds, 2), "kappa": restoration.kappa, "holes": restoration.hole_count}
+    figures = {"seconds": round(seconds, 2), "kappa": restoration.sub_bands, "holes": restoration.hole_count}
     figures |= {"peak_memory_above_imports_mb": round(memory_mb("VmHWM") - before, 1), "imports_mb": round(before, 1)}
     figures |= {"image_and_mask_mb": round((image.nbytes + mask.nbytes) / 1e6, 1)}
     return json.dumps(figures | {"stages": {name: round(value, 2) for name, value in restoration.seconds.items()}})

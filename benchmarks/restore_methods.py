@@ -113,4 +113,4 @@ def restore_with(settings: RestoreSettings, image: np.ndarray, mask: np.ndarray)
         return Restored(None, error=str(error))
     seconds = time.perf_counter() - started
     rounded = np.rint(np.clip(restoration.pixels, 0.0, 1.0) * 255.0).astype(np.float32) / 255.0
-    return Restored(rounded, seconds, restoration.kappa)
+    return Restored(rounded, seconds, restoration.sub_bands)

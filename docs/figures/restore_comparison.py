@@ -33,12 +33,12 @@ TEXTURE_SEED, WEAVE_SEED, SCRATCH_SEED = 3, 1, 3
 def draw_restore_comparison(pixels: int) -> np.ndarray:
     """Restore squares of `pixels` per side and return a sheet (H, W, 3) of them: a row per texture, a column per split."""
     hole = create_hole(pixels)
-    rows, kappas = [], []
+    rows, counts = [], []
     for image in create_textures(pixels):
         restored = [run_to_end(restore(image, hole, settings)) for settings in SETTINGS.values()]
         rows.append([np.where(hole[..., None], np.float32(HOLE_GRAY), image), *(result.pixels for result in restored)])
-        kappas.append(restored[-1].kappa)
-    title = f"Structure and texture; the default uses {kappas[0]} sub-bands above and {kappas[1]} below"
+        counts.append(restored[-1].sub_bands)
+    title = f"Structure and texture; the default uses {counts[0]} sub-bands above and {counts[1]} below"
     return draw_contact_sheet(title, rows, ["even", "gradient"], [["missing part"], *([name] for name in SETTINGS)])
 
 

@@ -136,7 +136,9 @@ def restore_image(
         if restoration is not None:
             _write_stages(job, restoration, scratch)
             if "curve" in job.paths:
-                write_png(job.scratch_path("curve", scratch), draw_kappa_chart(restoration.deviations, restoration.kappa, MAX_DEVIATION))
+                write_png(
+                    job.scratch_path("curve", scratch), draw_kappa_chart(restoration.deviations, restoration.sub_bands, MAX_DEVIATION)
+                )
     return _figures(path, image, mask, restoration) | {"remarks": remarks}
 
 
@@ -152,7 +154,7 @@ def _read_mask(job: ImageJob, name: str, image: ImageFile, remarks: list[str]) -
 def _figures(path: Path, image: ImageFile, mask: np.ndarray, restoration: Restoration | None) -> dict[str, Any]:
     """Return the part of the report about one image. kappa is None where all sub-bands are structure, or nothing was missing."""
     height, width, channels = image.pixels.shape
-    kappa = None if restoration is None or restoration.kappa < 0 else restoration.kappa
+    kappa = None if restoration is None or restoration.sub_bands < 0 else restoration.sub_bands
     return {
         "image": path.name,
         "size": [width, height],

@@ -5,11 +5,11 @@ import pytest
 from scipy.fft import dctn, idctn
 
 from farfield.addon.core.restore.frequency_split import (
-    MAX_AUTO_KAPPA,
+    MAX_AUTO_SUB_BANDS,
     MAX_DEVIATION,
     LowBand,
     autocorrelation_deviations,
-    choose_kappa,
+    choose_sub_bands,
     luminance,
 )
 
@@ -71,23 +71,23 @@ class TestKappa:
         assert scaled[0] == pytest.approx(scaled[1], rel=0.1)
 
     def test_noise_alone_has_no_structure(self):
-        kappa, deviations = choose_kappa(noise((96, 96, 3)), is_color=True)
-        assert kappa == 0 and len(deviations) == MAX_AUTO_KAPPA + 1
+        kappa, deviations = choose_sub_bands(noise((96, 96, 3)), is_color=True)
+        assert kappa == 0 and len(deviations) == MAX_AUTO_SUB_BANDS + 1
 
     @pytest.mark.parametrize("contrast", [0.2, 0.5, 1.0])
     def test_a_strong_pattern_is_no_structure(self, contrast):
         y, x = np.mgrid[:120, :160] // 7
         pattern = 0.5 + contrast * ((x + y) % 2 - 0.5)
-        assert choose_kappa(pattern[..., None].astype(np.float32), is_color=False)[0] <= 1
+        assert choose_sub_bands(pattern[..., None].astype(np.float32), is_color=False)[0] <= 1
 
     def test_a_gradient_is_structure(self):
-        kappa, deviations = choose_kappa(np.clip(noise((96, 120, 3)) + gradient(96, 120), 0.0, 1.0), is_color=True)
+        kappa, deviations = choose_sub_bands(np.clip(noise((96, 120, 3)) + gradient(96, 120), 0.0, 1.0), is_color=True)
         assert 1 <= kappa <= 6
         assert deviations[kappa] < MAX_DEVIATION and (deviations[:kappa] >= MAX_DEVIATION).all()
 
     def test_the_choice_hardly_depends_on_the_size(self):
-        small, _ = choose_kappa(gradient(128, 128) + 0.5, is_color=False)
-        large, _ = choose_kappa(gradient(2048, 2048) + 0.5, is_color=False)
+        small, _ = choose_sub_bands(gradient(128, 128) + 0.5, is_color=False)
+        large, _ = choose_sub_bands(gradient(2048, 2048) + 0.5, is_color=False)
         assert abs(small - large) <= 1
 
 

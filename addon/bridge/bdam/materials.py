@@ -5,9 +5,8 @@ The material of a texture tile has one or two packed images, as coded in the sto
 
 import bpy
 
-from ...compat import enable_nodes
 from ...core.bdam.textures.tile_blocks import CodedTile
-from ..shading.node_builder import NodeBuilder, ensure_shared_group
+from ..shading.node_builder import NodeBuilder, create_node_material, ensure_shared_group
 
 GROUND_GROUP, GROUND_VERSION = "Farfield Terrain Ground", 1
 LEVEL_ATTRIBUTE = "terrain_level"  # attribute of faces: the level of the patch
@@ -34,7 +33,7 @@ def create_material(name: str, shading: str, root: bpy.types.Object, heights: tu
 
     heights: lowest and highest height above the root, with exaggeration.
     """
-    material, builder = _start(name)
+    material, builder = create_node_material(name)
     material[MATERIAL_KEY] = shading
     if shading == "level":
         color = _color_by_level(builder)
@@ -50,20 +49,13 @@ def create_material(name: str, shading: str, root: bpy.types.Object, heights: tu
 
 def create_texture_material(name: str, color: bpy.types.Image, alpha: bpy.types.Image | None) -> bpy.types.Material:
     """Create the material of one texture tile. alpha: None if the color image contains it."""
-    material, builder = _start(name)
+    material, builder = create_node_material(name)
     image = builder.node("ShaderNodeTexImage", {"image": color, "extension": "EXTEND", "label": "Texture"})
     opacity = image.outputs["Alpha"] if color.channels == 4 and color.depth == 32 else None
     if alpha is not None:
         opacity = builder.node("ShaderNodeTexImage", {"image": alpha, "extension": "EXTEND", "label": "Alpha"}).outputs["Color"]
     _finish(builder, image.outputs["Color"], opacity)
     return material
-
-
-def _start(name: str) -> tuple[bpy.types.Material, NodeBuilder]:
-    material = bpy.data.materials.new(name)
-    enable_nodes(material)
-    material.node_tree.nodes.clear()
-    return material, NodeBuilder(material.node_tree)
 
 
 def _finish(builder: NodeBuilder, color: bpy.types.NodeSocket, opacity: bpy.types.NodeSocket | None) -> None:

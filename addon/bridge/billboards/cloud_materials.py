@@ -4,8 +4,7 @@ import itertools
 
 import bpy
 
-from ...compat import enable_nodes
-from ..shading.node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
+from ..shading.node_builder import NodeBuilder, SocketOrValue, create_node_material, ensure_shared_group
 
 GROUP_NAME = "Farfield Cloud"
 GROUP_VERSION = 1
@@ -24,8 +23,7 @@ def create_cloud_material(name: str, images: dict[tuple[str, str], bpy.types.Ima
 
     shadowless_distance: the material blocks no light from within this length, in units of the cloud's objects.
     """
-    material = create_two_sided_material(name)
-    builder = NodeBuilder(material.node_tree)
+    material, builder = create_two_sided_material(name)
     group = builder.node("ShaderNodeGroup", {"node_tree": _cloud_group(), "width": 220.0})
     group.inputs[SHADOWLESS_DISTANCE].default_value = shadowless_distance
     output = builder.node("ShaderNodeOutputMaterial")
@@ -61,13 +59,11 @@ def create_gray_material(name: str) -> bpy.types.Material:
     return material
 
 
-def create_two_sided_material(name: str) -> bpy.types.Material:
-    """Create a two-sided material without nodes, for a node tree to be filled."""
-    material = bpy.data.materials.new(name)
+def create_two_sided_material(name: str) -> tuple[bpy.types.Material, NodeBuilder]:
+    """Create a two-sided material without nodes, and return it with the builder of its nodes."""
+    material, builder = create_node_material(name)
     set_two_sided(material)
-    enable_nodes(material)
-    material.node_tree.nodes.clear()
-    return material
+    return material, builder
 
 
 def set_two_sided(material: bpy.types.Material) -> None:

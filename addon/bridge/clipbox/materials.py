@@ -6,10 +6,9 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ...compat import enable_nodes
 from ...core.errors import FileError
 from ..imaging.images import create_image
-from ..shading.node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
+from ..shading.node_builder import NodeBuilder, SocketOrValue, create_node_material, ensure_shared_group
 
 GROUP_NAME = "Farfield Ground"
 GROUP_VERSION = 1
@@ -90,11 +89,7 @@ def create_terrain_material(
         FileError: the ground image cannot be read.
     """
     size = max(0.5 * (high - low), MIN_SIZE)
-    material = bpy.data.materials.new(name)
-    enable_nodes(material)
-    tree = material.node_tree
-    tree.nodes.clear()
-    builder = NodeBuilder(tree)
+    material, builder = create_node_material(name)
     position = builder.node("ShaderNodeTexCoord", {"object": root}).outputs["Object"]
     grain_position = builder.vector("SCALE", position, 1.0 / (GRAIN.tile_size * size))
     grain_position.node.label = "Grain Scale"

@@ -7,6 +7,8 @@ from typing import Any
 import bpy
 import numpy as np
 
+from ...compat import enable_nodes
+
 COLUMN_WIDTH, ROW_HEIGHT, TALL_ROW_HEIGHT = 260.0, 190.0, 300.0  # Units of the node editor, see `NodeBuilder.arrange`.
 TALL_NODES = {"TEX_IMAGE", "BSDF_PRINCIPLED"}
 
@@ -143,6 +145,14 @@ class NodeBuilder:
             column = columns[node.name]
             node.location = -COLUMN_WIDTH * column, heights.get(column, 0.0)
             heights[column] = heights.get(column, 0.0) - (TALL_ROW_HEIGHT if node.type in TALL_NODES else ROW_HEIGHT)
+
+
+def create_node_material(name: str) -> tuple[bpy.types.Material, NodeBuilder]:
+    """Create a material without nodes, and return it with the builder of its nodes."""
+    material = bpy.data.materials.new(name)
+    enable_nodes(material)
+    material.node_tree.nodes.clear()
+    return material, NodeBuilder(material.node_tree)
 
 
 Sockets = Sequence[tuple[str, str]]  # names and types: "Color", "Float", "Shader" or "Vector"

@@ -1,7 +1,7 @@
 """Structure and texture of an image: its lowest cosine frequencies, and the rest (Textures Revisited, section 5.2).
 
 Sub-band k of the orthonormal discrete cosine transform (DCT-II) of an image (H, W) holds the coefficients (u, v) with max(u, v) = k. The
-structure consists of the sub-bands 0 to kappa - 1, so kappa = 0 leaves no structure and kappa = max(H, W) nothing else.
+structure consists of the lowest sub-bands, kappa in the paper: with 0 of them there is no structure, with max(H, W) nothing else.
 """
 
 from collections.abc import Iterator
@@ -15,8 +15,8 @@ from ..imaging.pyramids import reduce_image
 from ..jobs.chunks import slices
 
 MAX_DEVIATION = 0.001  # standard deviation of the autocorrelation of luminance 0..1; the paper's limit
-MAX_AUTO_KAPPA = 10  # finer patterns are texture; the paper uses 4 to 6
-PATTERN_RATIO = 1.5  # times the deviation that remains at MAX_AUTO_KAPPA is enough, too
+MAX_AUTO_SUB_BANDS = 10  # finer patterns are texture; the paper uses 4 to 6
+PATTERN_RATIO = 1.5  # times the deviation that remains at MAX_AUTO_SUB_BANDS is enough, too
 MAX_ANALYSIS_PIXELS = 512  # per side: larger images are halved before the analysis, which only concerns low frequencies
 
 
@@ -26,9 +26,9 @@ class LowBand:
     coefficients: (K, K', C), the lowest DCT coefficients along rows and columns.
     """
 
-    def __init__(self, image: np.ndarray, kappa: int) -> None:
-        """Project `image` (H, W, C) to its lowest `kappa` sub-bands."""
-        self._rows, self._columns = (_cosines(size, min(kappa, size)) for size in image.shape[:2])
+    def __init__(self, image: np.ndarray, sub_bands: int) -> None:
+        """Project `image` (H, W, C) to its lowest sub-bands."""
+        self._rows, self._columns = (_cosines(size, min(sub_bands, size)) for size in image.shape[:2])
         parts = [np.einsum("kwc,wv->kvc", image[rows], self._columns, optimize=True) for rows in slices(len(image), 256)]  # in doubles
         partial = np.concatenate(parts)
         self.coefficients = np.einsum("ku,kvc->uvc", self._rows, partial, optimize=True)
@@ -49,23 +49,24 @@ def luminance(image: np.ndarray, is_color: bool) -> np.ndarray:
     return result
 
 
-def choose_kappa(image: np.ndarray, is_color: bool) -> tuple[int, np.ndarray]:
-    """Return kappa for `image` (H, W, C), whose missing pixels are filled smoothly, and the deviations (K,) for kappa from 0 that decided.
+def choose_sub_bands(image: np.ndarray, is_color: bool) -> tuple[int, np.ndarray]:
+    """Return the number of sub-bands of the structure of `image` (H, W, C), whose missing pixels are filled smoothly, and the deviations
+    (K,) for numbers from 0 that decided.
 
-    Kappa is the smallest value for which the standard deviation of the autocorrelation of the texture is below MAX_DEVIATION, or below
-    PATTERN_RATIO times what remains at MAX_AUTO_KAPPA: a texture with a strong pattern of its own is never homogeneous, and more sub-bands
-    would only take parts of the pattern away.
+    It is the smallest number for which the standard deviation of the autocorrelation of the texture is below MAX_DEVIATION, or below
+    PATTERN_RATIO times what remains at MAX_AUTO_SUB_BANDS: a texture with a strong pattern of its own is never homogeneous, and more
+    sub-bands would only take parts of the pattern away.
     """
     values = luminance(image, is_color)
     while max(values.shape) > MAX_ANALYSIS_PIXELS:
         values = reduce_image(values)
-    count = min(MAX_AUTO_KAPPA, *values.shape) + 1
+    count = min(MAX_AUTO_SUB_BANDS, *values.shape) + 1
     deviations = np.array(list(islice(autocorrelation_deviations(values), count)))
     return int(np.argmax(deviations < max(MAX_DEVIATION, PATTERN_RATIO * deviations[-1]))), deviations
 
 
 def autocorrelation_deviations(values: np.ndarray) -> Iterator[float]:
-    """Yield the standard deviation of the autocorrelation matrix of the texture of `values` (H, W), for kappa = 0, 1, 2 ...
+    """Yield the standard deviation of the autocorrelation matrix of the texture of `values` (H, W), for 0, 1, 2 ... sub-bands.
 
     The texture is padded with zeros to a square of side N; its autocorrelation IDCT(DCT(H) ** 2) / (2 N) is clipped to (H, W). With this
     scale it does not depend on the size of the image: the largest element is about 0.4 times the variance of a texture without pattern.
@@ -73,8 +74,8 @@ def autocorrelation_deviations(values: np.ndarray) -> Iterator[float]:
     coefficients = dctn(values.astype(np.float64), norm="ortho")
     side = max(values.shape)
     padding = [(0, side - size) for size in values.shape]
-    for kappa in range(side + 1):
-        coefficients[:kappa, :kappa] = 0.0
+    for count in range(side + 1):
+        coefficients[:count, :count] = 0.0
         if values.shape[0] == values.shape[1]:
             powers = coefficients**2
             mean, square = 0.5 * powers[0, 0] / side**2, 0.25 * (powers**2).sum() / side**4  # Parseval

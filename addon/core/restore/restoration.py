@@ -9,7 +9,7 @@ from ..imaging.diffusion import diffuse
 from ..imaging.images import decode_normals
 from ..jobs.chunks import slices
 from ..jobs.progress import Progress, StageClock, Steps, subprogress
-from .frequency_split import LowBand, choose_kappa
+from .frequency_split import LowBand, choose_sub_bands
 from .levels import RADIUS, Page, build_levels
 from .settings import RestoreSettings
 from .texture import fill_texture
@@ -27,15 +27,15 @@ class Restoration:
 
     Attributes:
         pixels: (H, W, C) float32, equal to the image outside the mask.
-        kappa: number of sub-bands of the structure, -1 if all were.
-        deviations: (K,) standard deviation of the autocorrelation for each kappa from 0 that was examined, empty if none was.
+        sub_bands: number of sub-bands of the structure, -1 if all were.
+        deviations: (K,) standard deviation of the autocorrelation for each number of sub-bands from 0 that was examined, empty if none was.
         hole_count: connected parts of the mask.
         seconds: by stage.
         stages: images (H, W, C) by name, if they were requested.
     """
 
     pixels: np.ndarray
-    kappa: int
+    sub_bands: int
     deviations: np.ndarray
     hole_count: int
     seconds: dict[str, float]
@@ -47,7 +47,7 @@ class _Options:
     """What all windows have in common; usable: (H, W) bool, pixels that may be copied."""
 
     settings: RestoreSettings
-    kappa: int
+    sub_bands: int
     usable: np.ndarray
     barriers: np.ndarray | None
 
@@ -93,22 +93,22 @@ def restore(
         for index, window in enumerate(windows):
             yield Progress(0.1 * index / len(windows), "Filling structure")
             _write(pixels, window, diffuse(pixels[window.area], window.hole, _part(barriers, window), window.wrap)[window.hole])
-    kappa, deviations = -1, np.zeros(0)
+    sub_bands, deviations = -1, np.zeros(0)
     if settings.split == "auto":
         yield Progress(0.1, "Choosing sub-bands")
         with clock.stage("kappa"):
-            kappa, deviations = choose_kappa(pixels, is_color)
+            sub_bands, deviations = choose_sub_bands(pixels, is_color)
     elif settings.split == "manual" and settings.sub_bands < max(mask.shape):
-        kappa = settings.sub_bands
+        sub_bands = settings.sub_bands
     if keep_stages:
         stages["first_fill"] = pixels.copy()
-    if kappa >= 0:
-        options = _Options(settings, kappa, ~mask if source_mask is None else ~mask & source_mask, barriers)
+    if sub_bands >= 0:
+        options = _Options(settings, sub_bands, ~mask if source_mask is None else ~mask & source_mask, barriers)
         yield from subprogress(_restore_texture(pixels, mask, windows, options, clock, stages), 0.15, 1.0)
         pixels[mask] = np.clip(pixels[mask], *_find_range(image, mask))
     if is_normal_map:
         pixels[mask, :3] = 0.5 + 0.5 * decode_normals(pixels[mask])
-    return Restoration(pixels, kappa, deviations, len(windows), clock.seconds, stages)
+    return Restoration(pixels, sub_bands, deviations, len(windows), clock.seconds, stages)
 
 
 def _restore_texture(
@@ -117,7 +117,7 @@ def _restore_texture(
     """Split the smoothly filled `pixels`, and write structure plus texture into the holes of all `windows`. Adds images to `stages` unless
     it is empty."""
     with clock.stage("split"):
-        low_band = LowBand(pixels, options.kappa)
+        low_band = LowBand(pixels, options.sub_bands)
     if stages:
         low = low_band.evaluate(np.arange(pixels.shape[0]), np.arange(pixels.shape[1]))
         stages |= {"low": low, "low_filled": low.copy(), "high": pixels - low, "high_filled": pixels - low}

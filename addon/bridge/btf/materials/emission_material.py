@@ -129,8 +129,10 @@ def build_relightable_material(name: str, images: BtfImages, tables: LookupTable
 
     blend_texels: blend clustered texels randomly per sample instead of not at all.
     """
-    material = _new_material(name, images, tables)
-    builder = NodeBuilder(material.node_tree)
+    material, builder = create_two_sided_material(name)
+    material[LAYOUT] = {"version": VERSION, **{name: int(getattr(tables, name)) for name in LAYOUT_KEYS}}  # of the images
+    material[DOME_FRESNEL] = [images.dome_fresnel.strength, images.dome_fresnel.power]
+    material.cycles.emission_sampling = "NONE"
     suns = [builder.object_attribute(sun_direction_property(index)) for index in range(SUNS)]
     viewer = _viewer_direction(builder, suns)
     view = map_uv(builder, tables.views_upper, viewer)
@@ -149,15 +151,6 @@ def build_relightable_material(name: str, images: BtfImages, tables: LookupTable
         color = builder.vector("ADD", color, sample_image(builder, images.emission, EMISSION)[0])
     _add_output(builder, color, _decode_alpha(builder, tables, images, view))
     builder.arrange()
-    return material
-
-
-def _new_material(name: str, images: BtfImages, tables: LookupTables) -> bpy.types.Material:
-    """Create a two-sided material with the layout of the images as custom properties, and without nodes."""
-    material = create_two_sided_material(name)
-    material[LAYOUT] = {"version": VERSION, **{name: int(getattr(tables, name)) for name in LAYOUT_KEYS}}
-    material[DOME_FRESNEL] = [images.dome_fresnel.strength, images.dome_fresnel.power]
-    material.cycles.emission_sampling = "NONE"
     return material
 
 

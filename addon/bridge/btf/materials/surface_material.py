@@ -64,10 +64,9 @@ def build_surface_material(
 
     shadowless_distance: see `create_cloud_material`. parameters: see `read_shared_parameters`.
     """
-    material = create_two_sided_material(name)
+    material, builder = create_two_sided_material(name)
     group = create_group(f"{name} Surface", [(SHADOW_RAYS_LEAVE, "Float"), (LIGHT_COVERAGE, "Float")], [("BSDF", "Shader")])
     _fill_group(NodeBuilder(group), images, shadowless_distance, parameters)
-    builder = NodeBuilder(material.node_tree)
     for engine, leave in (("CYCLES", 1.0), ("EEVEE", 0.0)):
         node = builder.node("ShaderNodeGroup", {"node_tree": group, "label": engine.title()})
         node.inputs[SHADOW_RAYS_LEAVE].default_value = leave
