@@ -111,6 +111,7 @@ def test_images_that_cannot_be_rebaked_stay(ball, kind, capsys):
     elif kind == "mapping":
         tree = material.node_tree
         mapping, coordinates = tree.nodes.new("ShaderNodeMapping"), tree.nodes.new("ShaderNodeUVMap")
+        mapping.inputs["Scale"].default_value = (2.0, 2.0, 2.0)
         tree.links.new(coordinates.outputs["UV"], mapping.inputs["Vector"])
         tree.links.new(mapping.outputs["Vector"], tree.nodes["Image Texture"].inputs["Vector"])
     else:

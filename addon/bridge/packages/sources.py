@@ -12,9 +12,10 @@ from ...core.texmesh.textured_mesh import TexturedMesh
 from ..geometry.joined_meshes import find_frame
 from ..geometry.meshes import find_material
 from ..objects import world_matrix
-from ..shading.color_products import CHANNELS
+from ..shading.color_products import CHANNELS, read_product
+from ..shading.socket_sources import ScopedSocket, find_source
 from ..shading.surface_reader import MaterialSurface, read_surface
-from ..texmesh.color_images import find_image_node
+from ..shading.texture_uses import TextureUse
 from ..texmesh.glb_materials import choose_textures, describe_unread
 from ..texmesh.sources import TexturedSource, read_textured_source
 from .images import MEAN, PackageImages
@@ -115,23 +116,20 @@ def _read_data_images(node: bpy.types.Node, images: PackageImages) -> dict[str, 
     """Return the images of a shader node other than its base color, by role."""
     result = {}
     for role, name in INPUTS.items():
-        socket = node.inputs.get(name)
-        found = None if socket is None or not socket.links else find_image_node(socket)
-        if found is not None:
-            is_color = role == "emission"
-            result[role] = images.read_colors(found.image) if is_color else images.read_channel(found.image, _find_channel(socket))
+        use = _find_texture(node.inputs.get(name))
+        if use is not None and role == "emission":
+            result[role] = images.read_colors(use.image)
+        elif use is not None:
+            result[role] = images.read_channel(use.image, CHANNELS.index(use.channel) if use.channel in CHANNELS else MEAN)
     normal = node.inputs.get("Normal")
-    source = None if normal is None or not normal.links else normal.links[0].from_node
+    source = None if normal is None else find_source(ScopedSocket(normal)).node
     if source is not None and source.type == "NORMAL_MAP" and source.space == "TANGENT":
-        found = find_image_node(source.inputs["Color"])
-        if found is not None:
-            result["normal"] = images.read_data(found.image)
+        use = _find_texture(source.inputs["Color"])
+        if use is not None:
+            result["normal"] = images.read_data(use.image)
     return result
 
 
-def _find_channel(socket: bpy.types.NodeSocket) -> int:
-    """Return the channel of an image that reaches a socket: that of a Separate Color node, or the mean."""
-    link = socket.links[0]
-    if link.from_node.type in ("SEPARATE_COLOR", "SEPRGB") and link.from_socket.name in CHANNELS:
-        return CHANNELS.index(link.from_socket.name)
-    return MEAN
+def _find_texture(socket: bpy.types.NodeSocket | None) -> TextureUse | None:
+    """Return the use of the image that is nearest to an input, None if there is none."""
+    return None if socket is None else next(iter(read_product(socket).textures), None)

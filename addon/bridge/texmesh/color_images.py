@@ -10,7 +10,9 @@ from ...compat import uses_nodes
 from ...core.errors import FileError
 from ..imaging.color_spaces import read_linear_pixels
 from ..imaging.images import find_path
-from ..shading.surface_reader import find_output, list_color_inputs
+from ..shading.socket_sources import ScopedSocket, find_source
+from ..shading.surface_reader import COLOR_INPUTS, find_output, list_color_inputs
+from ..shading.texture_uses import read_texture_use
 
 MAX_SIDE = 4096  # pixels; larger images are halved until they fit
 
@@ -31,8 +33,8 @@ def find_color_images(material: bpy.types.Material | None) -> list[tuple[bpy.typ
         return []
     output = find_output(material.node_tree)
     found: dict[bpy.types.Image, str] = {}
-    for node in () if output is None else _image_nodes(output.inputs["Surface"]):
-        found.setdefault(node.image, _uv_map_of(node))
+    for source in () if output is None else _image_outputs(ScopedSocket(output.inputs["Surface"])):
+        found.setdefault(source.node.image, read_texture_use(source).uv_map)
     return list(found.items())
 
 
@@ -74,37 +76,19 @@ def _read_colors(image: bpy.types.Image) -> np.ndarray:
     return np.ascontiguousarray(read_linear_pixels(image)[..., :3])
 
 
-def find_image_node(socket: bpy.types.NodeSocket) -> bpy.types.Node | None:
-    """Return the image texture node before `socket` that is nearest to it, None if there is none."""
-    return next(_image_nodes(socket), None)
-
-
-def _image_nodes(surface: bpy.types.NodeSocket) -> Iterator[bpy.types.Node]:
-    """Yield the image texture nodes before `surface`, depth-first, that determine colors."""
-    visited: set[tuple[tuple[str, ...], str, str]] = set()
-    pending: list[tuple[bpy.types.NodeSocket, tuple[bpy.types.Node, ...]]] = [(surface, ())]  # with the groups that contain it
+def _image_outputs(surface: ScopedSocket) -> Iterator[ScopedSocket]:
+    """Yield the outputs of image texture nodes before the input `surface`, depth-first, that determine colors."""
+    visited: set[ScopedSocket] = set()
+    pending = [surface]
     while pending:
-        current, path = pending.pop()
-        key = (tuple(group.name for group in path), current.node.name, current.identifier)
-        if not current.links or key in visited:
+        source = find_source(pending.pop())
+        if source.is_constant or source in visited:
             continue
-        visited.add(key)
-        source = current.links[0].from_socket
-        node = source.node
-        if node.type == "TEX_IMAGE":
-            if node.image is not None:
-                yield node
-        elif node.type == "GROUP" and node.node_tree is not None:
-            output = next((item for item in node.node_tree.nodes if item.type == "GROUP_OUTPUT" and item.is_active_output), None)
-            inside = None if output is None else output.inputs.get(source.name)
-            if inside is not None:
-                pending.append((inside, (*path, node)))
-        elif node.type == "GROUP_INPUT" and path:
-            outside = path[-1].inputs.get(source.name)
-            if outside is not None:
-                pending.append((outside, path[:-1]))
-        else:
-            pending += [(item, path) for item in _color_inputs(node)]
+        visited.add(source)
+        if source.node.type != "TEX_IMAGE":
+            pending += [ScopedSocket(item, source.groups) for item in _color_inputs(source.node)]
+        elif source.node.image is not None:
+            yield source
 
 
 def _color_inputs(node: bpy.types.Node) -> list[bpy.types.NodeSocket]:
@@ -120,18 +104,3 @@ def _color_inputs(node: bpy.types.Node) -> list[bpy.types.NodeSocket]:
         return []
     first = [item for item in linked if item.type in ("RGBA", "SHADER")]
     return [*(item for item in reversed(linked) if item not in first), *reversed(first)]
-
-
-def _uv_map_of(node: bpy.types.Node) -> str:
-    """Return the name of the UV map that the Vector input of an image node is linked to, through a Mapping node or not."""
-    socket = node.inputs["Vector"]
-    for _ in range(8):
-        if not socket.links:
-            return ""
-        source = socket.links[0].from_node
-        if source.type == "UVMAP":
-            return source.uv_map
-        if source.type not in ("MAPPING", "REROUTE"):
-            return ""
-        socket = source.inputs["Vector"] if source.type == "MAPPING" else source.inputs[0]
-    return ""

@@ -11,11 +11,12 @@ from ...core.imaging.images import unpremultiply
 from ..geometry.meshes import find_material
 from ..imaging.color_spaces import SRGB, find_scene_linear_space, read_linear_pixels
 from ..imaging.images import INDEPENDENT_ALPHA, lossless_alpha_mode
+from ..shading.socket_sources import ScopedSocket
+from ..shading.texture_uses import read_texture_use
 from .color_images import MAX_SIDE, find_color_image, scaled_copy
 from .sources import TexturedSource
 
 KIND, TEXTURE = "farfield_kind", "texmesh_texture"
-MAX_LINKS = 8  # reroutes between an image and its coordinates
 
 
 @dataclass(frozen=True)
@@ -91,7 +92,7 @@ def _describe_refusal(material: bpy.types.Material, image: bpy.types.Image, leav
         return "it has tiles or frames"
     if not nodes:
         return f'the material "{material.name}" has it within a node group'
-    if any(node.projection != "FLAT" or not _is_placed_by_uvs(node) for node in nodes):
+    if not all(_is_placed_by_uvs(node) for node in nodes):
         return f'the material "{material.name}" places it with more than a UV map'
     if leaves_image and any(node.extension != "REPEAT" for node in nodes):
         return "the UV map leaves it, and it is not repeated there"
@@ -99,16 +100,9 @@ def _describe_refusal(material: bpy.types.Material, image: bpy.types.Image, leav
 
 
 def _is_placed_by_uvs(node: bpy.types.Node) -> bool:
-    """Return whether the Vector input of an image node is the active UV map, or linked to a UV map."""
-    socket = node.inputs["Vector"]
-    for _ in range(MAX_LINKS):
-        if not socket.links:
-            return socket.node == node
-        link = socket.links[0]
-        if link.from_node.type != "REROUTE":
-            return link.from_node.type == "UVMAP" or (link.from_node.type == "TEX_COORD" and link.from_socket.name == "UV")
-        socket = link.from_node.inputs[0]
-    return False
+    """Return whether an image node shows its image where a UV map says, and nowhere else."""
+    use = read_texture_use(ScopedSocket(node.outputs["Color"]))
+    return not use.unread and np.array_equal(use.matrix, np.eye(2, 3))
 
 
 def _nodes_with(material: bpy.types.Material, image: bpy.types.Image | None) -> Iterator[bpy.types.Node]:
