@@ -24,7 +24,7 @@ import numpy as np
 
 environment.import_farfield()
 
-from farfield.addon.core.files.glb import GlbMesh, GlbNode, GlbPrimitive, GlbScene, write_glb
+from farfield.addon.core.files.glb import GlbMesh, GlbNode, GlbPrimitive, GlbScene, encode_glb
 from farfield.addon.core.files.glb_materials import GlbMaterial, GlbTexture
 from farfield.addon.core.files.temporary_folders import temporary_folder
 from farfield.addon.core.imaging.coded_images import encode
@@ -96,7 +96,7 @@ def validate_scenes(validator: Path) -> dict[str, Any]:
         for name, scene in make_scenes().items():
             for is_quantized in (False, True):
                 path = folder / f"{len(results)}.glb"
-                write_glb(scene, path, is_quantized)
+                path.write_bytes(encode_glb(scene, is_quantized))
                 label = f"{name}, {'quantized' if is_quantized else 'plain'}"
                 results[label] = {"bytes": path.stat().st_size, **validate(path, validator)}
     return results

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from farfield.addon.bridge.blender import import_blender_module
+from farfield.addon.core.geometry.cameras import OrthographicView
 
 CURVE = b"curv" + bytes(4) + struct.pack(">IHH", 1, 0x0233, 0)  # gamma 2.2
 
@@ -91,3 +92,9 @@ def icc_profile() -> bytes:
         ">I4sI4s4s4s6H4s", 128 + len(table) + len(body), b"none", 0x02100000, b"mntr", b"RGB ", b"XYZ ", 2020, 1, 1, 0, 0, 0, b"acsp"
     )
     return (header.ljust(68, b"\0") + struct.pack(">3i", 63190, 65536, 54061)).ljust(128, b"\0") + table + body
+
+
+def pixel_of(view: OrthographicView, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return row and column (N,) of the pixel that shows each of `positions` (N, 3); the nearest pixel for positions outside."""
+    column, row = np.clip(np.floor(view.project(positions)[0]), 0, view.resolution - 1).astype(np.int64).T
+    return row, column

@@ -26,6 +26,7 @@ from farfield.addon.core.btf.reflectance.shadows import Shadows
 from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.core.geometry.cameras import OrthographicView
 from farfield.addon.core.geometry.directions import DirectionGrid
+from image_data import pixel_of
 from random_textures import decode_radiance, random_color_factors
 
 SIDE, PIXELS = 8, 160  # texels along the card, pixels along the image
@@ -125,7 +126,7 @@ def set_sun(card: bpy.types.Object, direction: np.ndarray) -> None:
 def sample_texels(image: np.ndarray, view: OrthographicView, card: bpy.types.Object) -> np.ndarray:
     """Return the color of `image` at every texel (H, W, 4), at the pixel nearest to its center."""
     texels = read_level_texels(card)
-    return texels.to_image(image[view.pixel_of(texels.positions)])
+    return texels.to_image(image[pixel_of(view, texels.positions)])
 
 
 @pytest.mark.parametrize(
@@ -181,7 +182,7 @@ def test_parallax_mapping_matches_the_arrays():
         set_sun(card, matrix @ SUN)
         card.matrix_world = mathutils.Matrix(matrix.tolist()).to_4x4()
         image, render_view = render(card, matrix @ view, 1)
-        rendered = image[render_view.pixel_of(texels.positions @ matrix.T)].reshape(SIDE, SIDE, 4)[inner][..., :3]
+        rendered = image[pixel_of(render_view, texels.positions @ matrix.T)].reshape(SIDE, SIDE, 4)[inner][..., :3]
         expected = decode_radiance(texture, view, SUN)[inner]
         assert np.abs(rendered - expected).mean() < 0.01 * expected.mean()
     without_parallax = replace(texture, lobes=replace(texture.lobes, surface=replace(texture.lobes.surface, parallax=None)))
@@ -244,7 +245,7 @@ def test_lobes_match_the_arrays(roughness, is_rotated):
         card.matrix_world = rotation.to_4x4()
         image, render_view = render(card, np.array(rotation, float) @ view, 1)
         positions = read_level_texels(card).positions @ np.array(rotation, float).T
-        rendered = image[render_view.pixel_of(positions)].reshape(SIDE, SIDE, 4)[..., :3]
+        rendered = image[pixel_of(render_view, positions)].reshape(SIDE, SIDE, 4)[..., :3]
         expected = decode_radiance(texture, view, light)
         without_lobes = np.maximum(expected.reshape(-1, 3) - texture.lobes.radiance_under_suns(view, light[None])[:, 0], 0.0)
         assert expected.mean() > 1.05 * without_lobes.mean(), "the lobes must be visible"
@@ -296,7 +297,7 @@ def test_the_specular_lobe_is_that_of_cycles():
     bpy.context.scene.collection.objects.link(sun)
     for view in (BETWEEN, np.array([0.0, 0.0, 1.0]), np.array([0.9, 0.1, 0.42]) / np.linalg.norm([0.9, 0.1, 0.42])):
         image, render_view = render(card, view, 16, [sun])
-        rendered = image[render_view.pixel_of(np.zeros((1, 3)))][0, 0]
+        rendered = image[pixel_of(render_view, np.zeros((1, 3)))][0, 0]
         expected = specular_lobe(np.array([[0.0, 0.0, 1.0]]), view, SUN[None], np.array([0.5]))[0][0, 0]
         assert rendered == pytest.approx(expected, rel=0.02)
 
@@ -311,7 +312,7 @@ def test_the_mean_of_blended_texels_is_bilinear():
     unblended = decode_radiance(texture, view, texture.lights.directions[3])
     texels = read_level_texels(card)
     halfway = 0.5 * (texels.positions.reshape(SIDE, SIDE, 3)[:, 1:] + texels.positions.reshape(SIDE, SIDE, 3)[:, :-1])
-    rendered = image[render_view.pixel_of(halfway.reshape(-1, 3))][:, :3].reshape(SIDE, SIDE - 1, 3)
+    rendered = image[pixel_of(render_view, halfway.reshape(-1, 3))][:, :3].reshape(SIDE, SIDE - 1, 3)
     mean = 0.5 * (unblended[:, 1:] + unblended[:, :-1])
     contrast = np.abs(unblended[:, 1:] - unblended[:, :-1]).mean()
     assert np.abs(rendered - mean).mean() < 0.2 * contrast, "without blending, the error would be half the contrast"
@@ -353,7 +354,7 @@ def test_shadows_have_the_silhouette_seen_from_the_light(visible_from):
     direction = np.array([-0.2, 0.6, 0.77]) / np.linalg.norm([-0.2, 0.6, 0.77])
     image, view = render(card, direction, 4, [ground, sun])
     shaded, open_ground = np.array([0.5, 0.9, 0.0]), np.array([1.3, 0.3, 0.0])
-    shade, light = image[view.pixel_of(np.stack([shaded, open_ground]))][:, :3].mean(axis=1)
+    shade, light = image[pixel_of(view, np.stack([shaded, open_ground]))][:, :3].mean(axis=1)
     assert light > 0.1
     assert shade == pytest.approx(0.0, abs=0.02) if visible_from == "above" else shade == pytest.approx(light, rel=0.1)
 

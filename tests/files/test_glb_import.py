@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import shapes
-from farfield.addon.core.files.glb import GlbMesh, GlbNode, GlbPrimitive, GlbScene, write_glb
+from farfield.addon.core.files.glb import GlbMesh, GlbNode, GlbPrimitive, GlbScene, encode_glb
 from farfield.addon.core.files.glb_materials import GlbMaterial, GlbTexture
 from farfield.addon.core.imaging.coded_images import encode
 
@@ -23,7 +23,7 @@ def test_blender_opens_a_written_file(empty_scene, tmp_path, is_quantized):
     parts = (GlbPrimitive(mesh.vertices, mesh.triangles, normals, uvs, material=0),)
     nodes = (GlbNode("fine", 0, levels=(1,), coverages=(0.1, 0.0)), GlbNode("coarse", 0))
     scene = GlbScene(nodes, (GlbMesh("sheet", parts),), (GlbMaterial("paint", texture=GlbTexture(0)),), (image,))
-    write_glb(scene, tmp_path / "a.glb", is_quantized)
+    (tmp_path / "a.glb").write_bytes(encode_glb(scene, is_quantized))
     was_enabled = addon_utils.check(GLTF)[1]
     try:
         addon_utils.enable(GLTF)

@@ -71,7 +71,7 @@ class TestMerge:
         texture, gains = smooth_texture(2), np.array([1.4, 0.8, 1.0, 0.7])
         photographs = [photograph(mesh, uvs, texture, camera, gain) for camera, gain in zip(ring(4), gains, strict=True)]
         result = run_to_end(merge(mesh, uvs, photographs, PhotosSettings(size=SIZE)))
-        product = result.gains * gains[:, None]
+        product = np.array([correction.gain for correction in result.color_corrections]) * gains[:, None]
         assert product == pytest.approx(np.broadcast_to(product.mean(axis=0), product.shape), rel=0.03)
         expected = encode_signed_srgb(decode_signed_srgb(texture) * product.mean(axis=0).astype(np.float32))
         seen = result.source >= 0

@@ -9,7 +9,7 @@ import shapes
 from farfield.addon.core.geometry.mesh import TriangleMesh, concatenate
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.scale_space.analysis import analyze_scale_space, encode_lightness, sample_lightness
-from farfield.addon.core.texmesh.scale_space.features import SCALES, ScaleMap, rank_coverage, records, thin_features
+from farfield.addon.core.texmesh.scale_space.features import SCALES, ScaleMap, rank_coverage, thin_features
 from farfield.addon.core.texmesh.settings import AnalysisSettings
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 
@@ -143,20 +143,6 @@ def test_a_vertex_without_triangles_is_no_feature():
     found = analyze(lonely)
     check(found, lonely)
     assert found.last_scales[-1] == 0
-    assert len(records(lonely, found).uvs) == len(lonely.vertices)
-
-
-def test_records_are_a_queue_in_descending_order():
-    mesh = textured(irregular_ball())
-    found = analyze(mesh)
-    queue = records(mesh, found)
-    assert (np.diff(queue.scales.astype(int)) <= 0).all()
-    same = np.diff(queue.scales) == 0
-    assert (np.diff(found.strengths[queue.vertices])[same] <= 0.0).all()
-    np.testing.assert_array_equal(queue.positions, mesh.vertices[queue.vertices])
-    np.testing.assert_array_equal(np.sort(queue.vertices), np.arange(len(mesh.vertices)))
-    owned = mesh.uvs[mesh.wedge_vertices == queue.vertices[0]]
-    assert (owned == queue.uvs[0]).all(axis=1).any()
 
 
 def test_thinned_features_keep_their_distance_and_none_is_lost():

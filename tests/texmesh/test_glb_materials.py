@@ -11,7 +11,7 @@ from farfield.addon.bridge import lod_crossfade
 from farfield.addon.bridge.geometry.evaluated_mesh import read_evaluated_mesh
 from farfield.addon.bridge.texmesh.color_images import find_color_images
 from farfield.addon.bridge.texmesh.glb_materials import GlbMaterials, VertexUse, describe_unread
-from farfield.addon.core.files.glb import GlbMesh, GlbNode, GlbPrimitive, GlbScene, write_glb
+from farfield.addon.core.files.glb import GlbMesh, GlbNode, GlbPrimitive, GlbScene, encode_glb
 from farfield.addon.core.files.glb_materials import BLEND, MASK, OPAQUE, GlbMaterial, GlbTexture
 from farfield.addon.core.imaging.coded_images import decode, encode
 from textured_scenes import checker_image, textured_material
@@ -324,7 +324,7 @@ def test_blenders_importer_makes_the_same_materials(tmp_path):
     try:
         addon_utils.enable(GLTF)
         for is_quantized in (False, True):
-            write_glb(GlbScene(nodes, meshes, tuple(written), (image,)), tmp_path / "a.glb", is_quantized)
+            (tmp_path / "a.glb").write_bytes(encode_glb(GlbScene(nodes, meshes, tuple(written), (image,)), is_quantized))
             bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
             bpy.ops.import_scene.gltf(filepath=str(tmp_path / "a.glb"))
             for index, expected in enumerate(written):

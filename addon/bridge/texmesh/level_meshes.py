@@ -11,8 +11,6 @@ from ..geometry.mesh_arrays import write_attribute, write_triangles
 from .scale_attributes import SCALE_ATTRIBUTE, find_vertex_scales
 from .sources import NORMALS, TexturedSource
 
-DEFAULT_UV_MAP = "UVMap"
-
 
 def create_level_mesh(name: str, source: TexturedSource, level: TexturedMesh, scale_map: ScaleMap) -> bpy.types.Mesh:
     """Create a mesh in the object space of the source, without materials.

@@ -51,7 +51,6 @@ class GeoReference:
     Attributes:
         affine: (a, b, c, d, e, f) of x = a * column + b * row + c and y = d * column + e * row + f, in units of the model, at the centers
             of pixels counted from (0, 0) in the north-west; None where the file gives no pixel size.
-        is_point: whether the file counts from the centers of pixels (pixel-is-point), not from their corners; `affine` allows for it.
         model_type: PROJECTED, GEOGRAPHIC, GEOCENTRIC, or None.
         epsg: code of the coordinate reference system, None if it is not declared or user-defined.
         has_unit: whether the file declares the unit of its positions, or a system that tells it.
@@ -63,7 +62,6 @@ class GeoReference:
     """
 
     affine: tuple[float, float, float, float, float, float] | None = None
-    is_point: bool = False
     model_type: int | None = None
     epsg: int | None = None
     has_unit: bool = False
@@ -87,7 +85,6 @@ def read_georeference(tags: Mapping[int, object]) -> GeoReference:
     """Return the georeference from the values of the tags GEO_TAGS, by number. Damaged tags count as missing."""
     keys, metadata = _read_geo_keys(tags), _read_metadata(tags)
     model_type, epsg = _read_system(keys, str(tags.get(GEO_TEXTS, "")))
-    is_point = keys.get(RASTER_TYPE) == POINT
     if model_type == GEOGRAPHIC:
         horizontal_unit = DEGREES.get(int(keys.get(ANGULAR_UNIT, 9105 if epsg in GRAD_CODES else 9102)))
     elif LINEAR_UNIT in keys:
@@ -96,8 +93,7 @@ def read_georeference(tags: Mapping[int, object]) -> GeoReference:
         horizontal_unit = 1.0 if epsg is None else unit_of_code(epsg)
     vertical_unit, remarks = _read_vertical_unit(keys, horizontal_unit if model_type == PROJECTED else 1.0)
     reference = GeoReference(
-        affine=_read_affine(tags, is_point),
-        is_point=is_point,
+        affine=_read_affine(tags, is_point=keys.get(RASTER_TYPE) == POINT),
         model_type=model_type,
         epsg=epsg,
         has_unit=model_type in (GEOGRAPHIC, GEOCENTRIC) or epsg is not None or LINEAR_UNIT in keys,

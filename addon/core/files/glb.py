@@ -135,17 +135,6 @@ class _Buffer:
         return len(self.accessors) - 1
 
 
-def write_glb(scene: GlbScene, path: Path, is_quantized: bool = False) -> None:
-    """Write `scene` to `path`, completely or not at all; see `encode_glb`.
-
-    Raises:
-        FileError: the file cannot be written, or would be too large. GeometryError: see `encode_glb`.
-    """
-    content = encode_glb(scene, is_quantized)
-    with atomic_write(path) as temporary:
-        temporary.write_bytes(content)
-
-
 def encode_glb(scene: GlbScene, is_quantized: bool = False) -> bytes:
     """Return `scene` as a binary glTF 2.0 file.
 

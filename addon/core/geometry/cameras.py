@@ -98,11 +98,6 @@ class OrthographicView:
         """Return the same view with `factor` times the pixels per side."""
         return OrthographicView(self.direction, self.center, self.resolution * factor, self.pixel_size / factor)
 
-    def pixel_of(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return row and column (N,) of the pixel that shows each of `positions` (N, 3); the nearest pixel for positions outside."""
-        column, row = np.clip(np.floor(self.project(positions)[0]), 0, self.resolution - 1).astype(np.int64).T
-        return row, column
-
     def project(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Project `positions` (N, 3): return x and y (N, 2) in pixels from the lower left corner of the image, and heights (N,) above the
         center towards the viewer."""

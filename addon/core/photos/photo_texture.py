@@ -50,11 +50,6 @@ class PhotoTexture:
     seconds: dict[str, float]
     stages: dict[str, np.ndarray]
 
-    @property
-    def gains(self) -> np.ndarray:
-        """(K, 3) gains of the photographs per channel."""
-        return np.array([correction.gain for correction in self.color_corrections])
-
     def page(self, index: int) -> TexturePage:
         """Return the images of one page."""
         size = self.colors.shape[1]

@@ -7,6 +7,7 @@ from farfield.addon.core.billboards.texels import QuadPolygons, Texels, texels_u
 from farfield.addon.core.btf.capture import observations
 from farfield.addon.core.btf.capture.observations import ID_BUFFER_SCALE, Observation, QuadFaceTable, ViewRender, observe
 from farfield.addon.core.geometry.cameras import OrthographicView
+from image_data import pixel_of
 
 SIZE = (16, 16)
 COLOR = (0.2, 0.4, 0.6)
@@ -113,7 +114,7 @@ def test_antialiased_colors_are_unpremultiplied():
 
 def test_pixels_of_a_side_view():
     view = OrthographicView(np.array([1.0, 0.0, 0.0]), np.array([8.0, 8.0, 0.0]), 16, 1.0)
-    rows, columns = view.pixel_of(np.array([[0.0, 9.5, 2.5], [5.0, 100.0, 0.0]]))
+    rows, columns = pixel_of(view, np.array([[0.0, 9.5, 2.5], [5.0, 100.0, 0.0]]))
     np.testing.assert_array_equal(rows, [10, 8])
     np.testing.assert_array_equal(columns, [9, 15])
 

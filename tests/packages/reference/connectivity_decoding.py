@@ -5,7 +5,17 @@ from dataclasses import dataclass
 import numpy as np
 from reference.sections import IntegerReader, damage, decode_signed
 
-from farfield.addon.core.packages.mesh.connectivity import ADDED_WEDGE, CANDIDATE, EXPLICIT_PARENT, SAME_WEDGE, CoarseFans
+from farfield.addon.core.packages.mesh.connectivity import (
+    ADDED_WEDGE,
+    CANDIDATE,
+    EXPLICIT_PARENT,
+    FIRST,
+    RING,
+    SAME_WEDGE,
+    SECOND,
+    THIRD,
+    CoarseFans,
+)
 from farfield.addon.core.packages.mesh.traversal import BOTH, BOUNDARY, LEFT, NEW, OTHER, RIGHT
 
 Triple = tuple[int, int, int]
@@ -20,6 +30,19 @@ class LevelStreams:
     wedges: IntegerReader
     parent_symbols: bytes
     parents: IntegerReader
+
+
+class CandidateFans(CoarseFans):
+    """Finds the vertices for which the encoder has found numbers."""
+
+    def find_candidate(self, index: int, near: Triple) -> int:
+        """Return the candidate `index`, -1 if there is none."""
+        if index in (FIRST, SECOND):
+            return near[index]
+        if index == THIRD:
+            return self._find_third(near)
+        slot = self._starts[near[0]] + index - RING
+        return self._nexts[slot] if slot < self._starts[near[0] + 1] else -1
 
 
 class ConnectivityDecoder:
@@ -47,7 +70,7 @@ class ConnectivityDecoder:
         self._streams = streams
         self._known_count, self._vertex_count = len(self.parents), vertex_count
         corners = np.array([self.wedge_vertices[wedge] for wedge in self.triangles], np.int64).reshape(-1, 3)
-        self._fans = CoarseFans(corners, self._known_count)
+        self._fans = CandidateFans(corners, self._known_count)
         self._latest = self._first_wedges.copy()
         self._met: list[int] = []
         self._is_met = [False] * vertex_count

@@ -47,15 +47,6 @@ class CoarseFans:
                 return RING + slot - begin
         return -1
 
-    def find_candidate(self, index: int, near: tuple[int, int, int]) -> int:
-        """Return the candidate `index`, -1 if there is none."""
-        if index in (FIRST, SECOND):
-            return near[index]
-        if index == THIRD:
-            return self._find_third(near)
-        slot = self._starts[near[0]] + index - RING
-        return self._nexts[slot] if slot < self._starts[near[0] + 1] else -1
-
     def _find_third(self, near: tuple[int, int, int]) -> int:
         first, second, apex = near
         if first != second:

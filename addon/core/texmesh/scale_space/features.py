@@ -9,13 +9,11 @@ The scale map has for each vertex the last scale at which it is a feature (secti
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from ...geometry.edges import Edges
-from ..textured_mesh import TexturedMesh
 
 ROUNDING = 1e-6  # strength, relative to the range of the signal, of what owes its sign to rounding
 MAX_NEIGHBORS, MAX_HALVINGS = 64, 40  # Neighbors of a point on average; the radius is halved until there are no more.
@@ -184,16 +182,6 @@ class ScaleMap:
     losses: str
 
 
-class FeatureRecords(NamedTuple):
-    """The priority queue in descending order of last scales: scales (V,) int8, texture coordinates (V, 2) and positions (V, 3)
-    float64, and the vertices (V,) int32 that they belong to."""
-
-    scales: np.ndarray
-    uvs: np.ndarray
-    positions: np.ndarray
-    vertices: np.ndarray
-
-
 class LastFeatures:
     """Collects the features of one scale after the other, in ascending order.
 
@@ -215,13 +203,3 @@ class LastFeatures:
         """Return the scale map."""
         counts = np.bincount(self.last_scales, minlength=SCALES)[::-1].cumsum()[::-1]
         return ScaleMap(self.last_scales, self.strengths, sigmas, counts, ranges, losses)
-
-
-def records(mesh: TexturedMesh, scale_map: ScaleMap) -> FeatureRecords:
-    """Return the records (i, (tx, ty), (gx, gy, gz)) of all vertices of `mesh`, the most persistent and strongest features first. A vertex
-    on a seam has the texture coordinates of its first wedge."""
-    order = np.lexsort((-scale_map.strengths, -scale_map.last_scales.astype(np.int64)))
-    first_wedges = np.full(len(mesh.vertices), len(mesh.uvs), np.int64)
-    np.minimum.at(first_wedges, mesh.wedge_vertices, np.arange(len(mesh.uvs)))
-    uvs = np.concatenate([mesh.uvs, np.zeros((1, 2))])[first_wedges]
-    return FeatureRecords(scale_map.last_scales[order], uvs[order], mesh.vertices[order], order.astype(np.int32))
