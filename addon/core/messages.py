@@ -24,7 +24,7 @@ def quote_names(names: Iterable[object]) -> str:
 
 
 def list_first(texts: Iterable[str], max_count: int = MAX_NAMED) -> str:
-    """Return the first texts, separated by commas, and how many there are besides: `a, b, c and 4 more`."""
+    """Return the first texts, separated by commas, and the number of the others: "one, two, three and 4 more"."""
     texts = list(texts)
     return ", ".join(texts[:max_count]) + (f" and {len(texts) - max_count:,} more" if len(texts) > max_count else "")
 

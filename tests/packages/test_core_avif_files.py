@@ -13,7 +13,7 @@ from farfield.addon.core.errors import FileError
 from farfield.addon.core.imaging.mipmaps import build_mipmaps
 from farfield.addon.core.packages.textures.avif_files import decode_tile, encode_tile, join_file, split_file
 from farfield.addon.core.packages.textures.enlarging import blur_as_enlarged, enlarge, sharpen_for_enlarging
-from farfield.addon.core.packages.textures.texture_errors import TextureErrors, average_blocks, merge_resolutions, to_bytes, to_values
+from farfield.addon.core.packages.textures.texture_errors import TextureErrors, average_blocks, encode_bytes, merge_resolutions, to_values
 from farfield.addon.core.packages.textures.visibility import FOOTPRINT_LEVELS, level_footprints
 
 
@@ -82,7 +82,7 @@ def test_enlarged_images_keep_their_mean_and_are_smooth():
 @pytest.mark.parametrize("role", ["base_color", "normal", "roughness"])
 def test_bytes_survive_as_values(role):
     image = np.arange(256, dtype=np.uint8).reshape(16, 16, 1).repeat(3, axis=2)
-    np.testing.assert_array_equal(to_bytes(role, to_values(role, image)), image)
+    np.testing.assert_array_equal(encode_bytes(role, to_values(role, image)), image)
 
 
 def make_errors(role: str, image: np.ndarray, footprint: float) -> TextureErrors:
@@ -102,12 +102,12 @@ def test_same_texture_has_no_error_and_noise_has_less_from_afar(role):
 
 def test_coarse_texture_is_as_good_from_afar():
     image = soft_image(128)
-    coarse = to_bytes("base_color", build_mipmaps(to_values("base_color", image)).level(2))
+    coarse = encode_bytes("base_color", build_mipmaps(to_values("base_color", image)).level(2))
     sharpened = sharpen_for_enlarging(coarse[None])[0]
     errors = make_errors("base_color", image, 8.0)
     assert errors.measure(sharpened, 2).sum() < min(0.02, 0.9 * errors.measure(coarse, 2).sum())
     sharp = np.where(np.indices((128, 128)).sum(axis=0)[..., None] % 8 < 4, np.uint8(20), np.uint8(230)).repeat(3, axis=2)
-    coarse = to_bytes("base_color", build_mipmaps(to_values("base_color", sharp)).level(2))
+    coarse = encode_bytes("base_color", build_mipmaps(to_values("base_color", sharp)).level(2))
     assert make_errors("base_color", sharp, 1.0).measure(coarse, 2).sum() > 0.2
 
 

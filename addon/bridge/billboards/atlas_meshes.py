@@ -14,7 +14,7 @@ import numpy as np
 from ...core.arrays import TINY
 from ...core.billboards.cloud import Level
 from ...core.geometry.mesh import connected_components
-from ...core.geometry.transforms import is_mirroring
+from ...core.geometry.transforms import is_mirroring, normalize
 from ..geometry.evaluated_mesh import EvaluatedMesh
 from ..geometry.mesh_arrays import write_attribute, write_triangles
 from ..geometry.meshes import Source, find_material
@@ -194,9 +194,7 @@ def _compute_normals(drawn: DrawnTriangles, placement: AtlasPlacement) -> np.nda
     """Compute the shading normals (K, 3, 3) of the corners, rotated with their quads."""
     local = drawn.reorder_corners(drawn.mesh.normals[drawn.mesh.loops[drawn.triangles]]).astype(np.float64)
     to_world = np.linalg.pinv(drawn.matrices[:, :3, :3]).transpose(0, 2, 1)[drawn.instances]
-    rotated = np.einsum("kij,kjl,kcl->kci", placement.axes[drawn.quads], to_world, local, optimize=True)
-    lengths = np.linalg.norm(rotated, axis=2, keepdims=True)
-    return rotated / np.where(lengths > 0.0, lengths, 1.0)
+    return normalize(np.einsum("kij,kjl,kcl->kci", placement.axes[drawn.quads], to_world, local, optimize=True))
 
 
 def _scene_space_attributes(

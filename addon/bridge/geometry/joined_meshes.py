@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 
 from ...core.errors import GeometryError
-from ...core.geometry.transforms import is_mirroring, transform_points
+from ...core.geometry.transforms import is_mirroring, normalize, transform_points
 from .evaluated_mesh import EvaluatedMesh, MaterialKey, MeshAttribute
 from .meshes import SourceInstance, explain_no_faces, read_instances
 
@@ -94,10 +94,8 @@ def _turn(corners: np.ndarray, is_mirrored: bool) -> np.ndarray:
 def _transform_normals(matrix: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Return unit normals (N, 3) of a surface that `matrix` (4, 4) transforms, zero where it flattens the surface."""
     rows = matrix[:3, :3]
-    cofactors = np.stack([np.cross(rows[1], rows[2]), np.cross(rows[2], rows[0]), np.cross(rows[0], rows[1])])
-    turned = np.sign(np.linalg.det(rows)) * (normals.astype(np.float64) @ cofactors.T)
-    lengths = np.linalg.norm(turned, axis=1, keepdims=True)
-    return turned / np.where(lengths > 0.0, lengths, 1.0)
+    cofactors = np.cross(rows[[1, 2, 0]], rows[[2, 0, 1]])
+    return normalize(np.sign(np.linalg.det(rows)) * (normals.astype(np.float64) @ cofactors.T))
 
 
 def _name_uv_map(meshes: Sequence[EvaluatedMesh]) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from ...core.errors import GeometryError
 from ...core.geometry.mesh import MAX_COORDINATE, PointCloud, TriangleMesh, check_points, fingerprint
 from ...core.geometry.points import estimate_normals, splat_radii
-from ...core.geometry.transforms import frames_from_normals, is_mirroring, transform_points
+from ...core.geometry.transforms import frames_from_normals, is_mirroring, normalize, transform_points
 from ...core.messages import format_count
 from .evaluated_mesh import EvaluatedMesh, MaterialKey, MeshAttribute, read_evaluated_mesh
 
@@ -274,10 +274,8 @@ def _point_normals(mesh: EvaluatedMesh, matrix: np.ndarray, points: np.ndarray) 
     if name is None or mesh.attributes[name].values.shape != points.shape or not _is_invertible(matrix):
         return estimate_normals(points)
     normals = mesh.attributes[name].values.astype(np.float64) @ np.linalg.inv(matrix[:3, :3])
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    if (lengths > 0.0).all():
-        return normals / lengths
-    return np.where(lengths > 0.0, normals / np.where(lengths > 0.0, lengths, 1.0), estimate_normals(points))
+    is_known = np.linalg.norm(normals, axis=1) > 0.0
+    return normalize(normals) if is_known.all() else np.where(is_known[:, None], normalize(normals), estimate_normals(points))
 
 
 def _point_radii(mesh: EvaluatedMesh, matrix: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -84,18 +84,15 @@ def _find_exactly(folder: Path, name: str) -> Path | None:
 
 def _photograph_names(name: str) -> list[str]:
     """Return the file names that a photograph may have."""
-    stem, extension = os.path.splitext(name)  # noqa: PTH122 - the name of a path would lose a dot at its end
-    names = [name, *(name + each for each in EXTENSIONS)]
-    return names + [stem + each for each in EXTENSIONS] if extension.lower() in IMAGE_EXTENSIONS else names
+    stem = strip_extension(name)
+    return [name, *(name + each for each in EXTENSIONS), *(stem + each for each in EXTENSIONS if stem != name)]
 
 
 def _mask_names(name: str) -> list[str]:
     """Return the file names that the mask of a photograph may have."""
-    stem, extension = os.path.splitext(name)  # noqa: PTH122 - the name of a path would lose a dot at its end
-    names = [name + suffix for suffix in MASK_SUFFIXES]
-    if extension.lower() in IMAGE_EXTENSIONS:
-        return names + [stem + suffix for suffix in MASK_SUFFIXES]
-    return names + [name + each + suffix for each in EXTENSIONS for suffix in MASK_SUFFIXES]
+    stem = strip_extension(name)
+    stems = [name, stem] if stem != name else [name, *(name + each for each in EXTENSIONS)]
+    return [each + suffix for each in stems for suffix in MASK_SUFFIXES]
 
 
 def _list_files(folder: Path) -> dict[str, str]:

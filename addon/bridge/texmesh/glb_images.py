@@ -9,7 +9,7 @@ from ...core.files.file_access import convert_os_errors, is_file
 from ...core.files.glb import IMAGE_TYPES
 from ...core.imaging.coded_images import encode
 from ...core.imaging.colors import LUMINANCE, encode_signed_srgb
-from ...core.imaging.images import sample_bilinear, unpremultiply
+from ...core.imaging.images import sample_bilinear, to_bytes, unpremultiply
 from ..imaging.color_spaces import SRGB, read_linear_pixels
 from ..imaging.images import INDEPENDENT_ALPHA, find_path, read_pixels
 from ..shading.color_products import CHANNELS
@@ -34,9 +34,9 @@ def read_used_image(color: TextureUse | None, alpha: TextureUse | None, is_opaqu
     width, height = (max(image.size[axis] for image in images) for axis in (0, 1))
     result = np.full((height, width, 4), 255, np.uint8)
     if color is not None:
-        result[..., :3] = _to_bytes(_read_colors(color, (width, height)))
+        result[..., :3] = to_bytes(_read_colors(color, (width, height)))
     if alpha is not None:
-        result[..., 3] = _to_bytes(_read_opacity(alpha, (width, height)))
+        result[..., 3] = to_bytes(_read_opacity(alpha, (width, height)))
     return encode(result[..., :3] if alpha is None else result, "png")
 
 
@@ -53,7 +53,7 @@ def read_coded_image(image: bpy.types.Image) -> bytes:
             return content
     pixels = _read_encoded(image)
     has_alpha = bool((pixels[..., 3] < 1.0).any())
-    return encode(_to_bytes(pixels if has_alpha else pixels[..., :3]), "png")
+    return encode(to_bytes(pixels if has_alpha else pixels[..., :3]), "png")
 
 
 def _is_own_alpha(color: TextureUse, alpha: TextureUse) -> bool:
@@ -113,7 +113,3 @@ def _pick(pixels: np.ndarray, channel: str) -> np.ndarray:
     if channel == "Color":
         return pixels[..., :3] @ LUMINANCE
     return pixels[..., 3 if channel == "Alpha" else CHANNELS.index(channel)]
-
-
-def _to_bytes(values: np.ndarray) -> np.ndarray:
-    return np.rint(255.0 * np.clip(values, 0.0, 1.0)).astype(np.uint8)

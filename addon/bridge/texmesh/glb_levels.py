@@ -38,7 +38,7 @@ def write_levels(
     unread: dict[str, tuple[str, ...]] = {}
     with atomic_folder(path.parent) as folder:
         for number, target in enumerate(paths):
-            scene, lacking = build_scene_of_all(sets) if is_one_file else build_scene_of_level(sets, number)
+            scene, lacking = build_scene(sets, None if is_one_file else number)
             (folder / target.name).write_bytes(encode_glb(scene, is_quantized))
             unread |= lacking
     return paths, describe_unread(unread, "The .glb" if is_one_file else "Each .glb")
@@ -64,26 +64,16 @@ def level_path(path: Path, number: int) -> Path:
     return path.with_name(f"{path.stem}-L{number}{path.suffix}")
 
 
-def build_scene_of_level(sets: Sequence[LevelSet], number: int) -> tuple[GlbScene, dict[str, tuple[str, ...]]]:
-    """Return the scene with one level of each object, or its coarsest one, and what it lacks by material."""
-    materials, nodes, meshes = GlbMaterials(), [], []
-    for levels in sets:
-        item = levels.levels[min(number, len(levels.levels) - 1)]
-        nodes.append(GlbNode(item.name, len(meshes), _matrix(item)))
-        meshes.append(GlbMesh(item.data.name, read_primitives(item, materials, levels.source_name), _bounds(levels)))
-    return GlbScene(tuple(nodes), tuple(meshes), tuple(materials.materials), tuple(materials.images)), materials.unread
-
-
-def build_scene_of_all(sets: Sequence[LevelSet]) -> tuple[GlbScene, dict[str, tuple[str, ...]]]:
-    """Return the scene with all levels of each object: the finest one is replaced by the others as it covers less of the image. Also
-    return what it lacks by material."""
+def build_scene(sets: Sequence[LevelSet], number: int | None) -> tuple[GlbScene, dict[str, tuple[str, ...]]]:
+    """Return the scene with the level `number` of each object, or its coarsest one, or with all if it is None: the finest one is replaced
+    by the others as it covers less of the image. Also return what it lacks by material."""
     materials, nodes, meshes = GlbMaterials(), [], []
     for levels in sets:
         first, bounds = len(nodes), _bounds(levels)
-        for index, item in enumerate(levels.levels):
-            others = () if index else tuple(range(first + 1, first + len(levels.levels)))
-            coverages = _coverages(levels) if others else ()
-            nodes.append(GlbNode(item.name, len(meshes), _matrix(item), others, coverages))
+        shown = levels.levels if number is None else [levels.levels[min(number, len(levels.levels) - 1)]]
+        for index, item in enumerate(shown):
+            others = () if index else tuple(range(first + 1, first + len(shown)))
+            nodes.append(GlbNode(item.name, len(meshes), _matrix(item), others, _coverages(levels) if others else ()))
             meshes.append(GlbMesh(item.data.name, read_primitives(item, materials, levels.source_name), bounds))
     return GlbScene(tuple(nodes), tuple(meshes), tuple(materials.materials), tuple(materials.images)), materials.unread
 

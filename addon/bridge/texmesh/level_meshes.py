@@ -4,6 +4,7 @@ import bpy
 import numpy as np
 
 from ...core.geometry.mesh import scaled_normals
+from ...core.geometry.transforms import normalize
 from ...core.texmesh.scale_space.features import ScaleMap
 from ...core.texmesh.textured_mesh import TexturedMesh
 from ..geometry.evaluated_mesh import EvaluatedMesh, MeshAttribute
@@ -66,9 +67,7 @@ def _write_normals(mesh: bpy.types.Mesh, level: TexturedMesh, normals: np.ndarra
         _write_flat(mesh, is_flat)
     if not is_flat.all():
         faces = scaled_normals(level.vertices[level.triangles])
-        chosen = np.where(is_flat[:, None, None], faces[:, None], normals)
-        lengths = np.linalg.norm(chosen, axis=2, keepdims=True)
-        write_attribute(mesh, "custom_normal", "CORNER", chosen / np.where(lengths > 0.0, lengths, 1.0))
+        write_attribute(mesh, "custom_normal", "CORNER", normalize(np.where(is_flat[:, None, None], faces[:, None], normals)))
 
 
 def _write_flat(mesh: bpy.types.Mesh, is_flat: np.ndarray) -> None:

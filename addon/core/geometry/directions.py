@@ -6,6 +6,8 @@ from functools import cached_property
 
 import numpy as np
 
+from .transforms import normalize, rotations_of_quaternions
+
 GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 BONN_RINGS = (1, 6, 12, 18, 20, 24)  # directions at 0, 15, ... 75 degrees from the pole
 SUBCELLS = 16  # along each side of a cell, for the sum of solid angles
@@ -28,7 +30,7 @@ def from_octahedral(points: np.ndarray) -> np.ndarray:
     x, y = points[..., 0], points[..., 1]
     z = 1.0 - np.abs(x) - np.abs(y)
     folded = np.maximum(-z, 0.0)
-    return _normalize(np.stack([x - np.copysign(folded, x), y - np.copysign(folded, y), z], axis=-1))
+    return normalize(np.stack([x - np.copysign(folded, x), y - np.copysign(folded, y), z], axis=-1))
 
 
 def to_octahedral(directions: np.ndarray) -> np.ndarray:
@@ -45,7 +47,7 @@ def from_hemi_octahedral(points: np.ndarray) -> np.ndarray:
     x = 0.5 * (points[..., 0] + points[..., 1])
     y = 0.5 * (points[..., 0] - points[..., 1])
     z = np.maximum(1.0 - np.abs(x) - np.abs(y), 0.0)  # rounding would put some of the edge below the horizon
-    return _normalize(np.stack([x, y, z], axis=-1))
+    return normalize(np.stack([x, y, z], axis=-1))
 
 
 def to_hemi_octahedral(directions: np.ndarray) -> np.ndarray:
@@ -100,10 +102,6 @@ def held_out_views(count: int = 12, seed: int = 0) -> np.ndarray:
     return candidates[np.argmin(max_axis_cosines)]
 
 
-def _normalize(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-
-
 def _cell_centers(size: int) -> np.ndarray:
     centers = (2.0 * np.arange(size) + 1.0) / size - 1.0
     return np.stack(np.meshgrid(centers, centers), axis=-1).reshape(-1, 2)
@@ -111,13 +109,7 @@ def _cell_centers(size: int) -> np.ndarray:
 
 def _random_rotations(count: int, random: np.random.Generator) -> np.ndarray:
     """Return (count, 3, 3) uniformly distributed rotation matrices, from unit quaternions with normally distributed components."""
-    w, x, y, z = _normalize(random.normal(size=(count, 4))).T
-    rows = [
-        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)
+    return rotations_of_quaternions(normalize(random.normal(size=(count, 4))))
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from scipy.sparse import coo_matrix, csgraph
 
 from ..errors import GeometryError
 from ..messages import format_count
+from .transforms import normalize
 
 MIN_HEIGHT = 2e-14  # Relative to a triangle's longest edge; below, its direction is lost in double precision.
 MAX_COORDINATE = 1e37  # leaves room for results that are larger than their source: single precision ends at 3.4e38
@@ -67,8 +68,7 @@ def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     scaled = scaled_normals(vertices[triangles])
     for axis in range(3):
         normals[:, axis] = np.bincount(triangles.ravel(), np.repeat(scaled[:, axis], 3), len(vertices))
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return normals / np.where(lengths > 0.0, lengths, 1.0)
+    return normalize(normals)
 
 
 def has_area(corners: np.ndarray) -> np.ndarray:

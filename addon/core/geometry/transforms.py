@@ -9,6 +9,23 @@ def transform_points(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.asarray(points, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
 
 
+def normalize(vectors: np.ndarray) -> np.ndarray:
+    """Return `vectors` (..., N) with length 1; zero stays zero."""
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / np.where(lengths > 0.0, lengths, 1.0)
+
+
+def rotations_of_quaternions(quaternions: np.ndarray) -> np.ndarray:
+    """Return the rotation matrices (..., 3, 3) float64 of unit quaternions (..., 4) in the order w, x, y, z."""
+    w, x, y, z = np.moveaxis(np.asarray(quaternions, np.float64), -1, 0)
+    rows = [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
 def is_mirroring(matrix: np.ndarray) -> np.ndarray:
     """Return whether affine matrices (..., 4, 4) or (..., 3, 3) exchange the front and the back of faces; not if they are not finite."""
     with np.errstate(invalid="ignore"):

@@ -11,6 +11,11 @@ NEIGHBORS = [(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1) if row
 MIN_ALPHA = 1e-6  # coverage below this counts as zero: a color divided by it would be noise
 
 
+def to_bytes(values: np.ndarray) -> np.ndarray:
+    """Return values of 0 to 1, of any shape, as uint8 of 0 to 255."""
+    return np.rint(255.0 * np.clip(values, 0.0, 1.0)).astype(np.uint8)
+
+
 def unpremultiply(image: np.ndarray) -> np.ndarray:
     """Return a premultiplied `image` (H, W, 4) with straight colors, black where alpha is zero. Alpha is unchanged."""
     alpha = image[..., 3:]

@@ -94,11 +94,6 @@ def to_half(values: np.ndarray) -> np.ndarray:
     return np.clip(values, -limit, limit).astype(np.float16)
 
 
-def to_bytes(fractions: np.ndarray) -> np.ndarray:
-    """Return `fractions` in 0..1 as uint8 in 0..255."""
-    return np.rint(255.0 * np.clip(fractions, 0.0, 1.0)).astype(np.uint8)
-
-
 def encode_visibility(visible: np.ndarray, hidden: np.ndarray) -> np.ndarray:
     """Return the visible fraction (N,) uint8 of texels, 0 to FULLY_VISIBLE; UNKNOWN where nothing of a texel was seen.
 

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from ...imaging.images import to_bytes
 from ...jobs.job_folder import open_job_folder, remove_temporary_files
 from .observations import SUBSAMPLES, Observation, ReferenceImage
-from .shard_files import ViewFiles, to_bytes, to_half, write_view_file
+from .shard_files import ViewFiles, to_half, write_view_file
 
 FORMAT_VERSION = 7  # A folder written with another version of the files belongs to another bake.
 ARRAYS = (

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...geometry.proximity import decode_pairs, encode_pairs
+from ...geometry.transforms import normalize
 from ..layout import IntBox
 from ..terrains.hashing import hash_lattice, uniform_random
 from .triangulation import polygon_normals
@@ -105,9 +106,7 @@ def _add_vertices(
 ) -> PatchVertices:
     """Add vertices at the means of their `parents`, each displaced along its normal by up to `max_displacement`."""
     corners = sum(vertices.corners[parent] for parent in parents) // len(parents)
-    normals = sum(vertices.normals[parent] for parent in parents)
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = (normals / np.where(lengths > 0.0, lengths, 1.0)).astype(np.float32)
+    normals = normalize(sum(vertices.normals[parent] for parent in parents)).astype(np.float32)
     random = 2.0 * uniform_random(hash_lattice(*corners.T, seed) + cycles.astype(np.uint32), 0) - 1.0
     positions = sum(vertices.positions[parent] for parent in parents) / len(parents) + (max_displacement * random)[:, None] * normals
     return PatchVertices(

@@ -16,7 +16,7 @@ from ..manifest import PackageTexture
 from ..tile_pyramid import TilePyramid, sum_tiles
 from .avif_files import decode_tile, encode_tile
 from .enlarging import enlarge, sharpen_for_enlarging
-from .texture_errors import TextureErrors, to_bytes, values_of_bytes
+from .texture_errors import TextureErrors, encode_bytes, values_of_bytes
 from .texture_tiles import TextureSource, TileGrid, cut_tiles, fill_unused, find_used_texels, join_tiles
 from .visibility import BLOCK
 
@@ -108,7 +108,7 @@ def code_texture(
         indices = _choose_variants(level, judge.finest, len(chosen), side == grid.tile_size)
         byte_counts = np.zeros((len(VARIANTS), shape[0] * shape[1]), np.int64)
         if indices:
-            pixels = image if level == 0 else to_bytes(source.role, mipmaps.level(level))
+            pixels = image if level == 0 else encode_bytes(source.role, mipmaps.level(level))
             padding = [(0, shape[0] * side - height), (0, shape[1] * side - width), (0, 0)]
             plain = cut_tiles(np.pad(pixels if has_colors else pixels[..., :1], padding, mode="edge"), side)
             sharpened = sharpen_for_enlarging(plain) if level and any(VARIANTS[index].is_sharpened for index in indices) else plain

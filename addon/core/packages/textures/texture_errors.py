@@ -7,7 +7,7 @@ import numpy as np
 
 from ...imaging.colors import LINEAR_OF_BYTE, decode_signed_srgb, encode_signed_srgb
 from ...imaging.flip import FlipImage, compare, filter_radius, prepare_image
-from ...imaging.images import decode_normals
+from ...imaging.images import decode_normals, to_bytes
 from ...imaging.mipmaps import Mipmaps, build_mipmaps
 from ...jobs.chunks import map_ordered
 from .enlarging import blur_as_enlarged, enlarge
@@ -31,10 +31,9 @@ def to_values(role: str, image: np.ndarray) -> np.ndarray:
     return values_of_bytes(role)[image]
 
 
-def to_bytes(role: str, values: np.ndarray) -> np.ndarray:
+def encode_bytes(role: str, values: np.ndarray) -> np.ndarray:
     """Return the image of values. Inverts `to_values`."""
-    encoded = encode_signed_srgb(values) if role in COLOR_ROLES else values
-    return np.rint(255.0 * np.clip(encoded, 0.0, 1.0)).astype(np.uint8)
+    return to_bytes(encode_signed_srgb(values) if role in COLOR_ROLES else values)
 
 
 class TextureErrors:

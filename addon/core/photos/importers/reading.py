@@ -8,6 +8,7 @@ import numpy as np
 
 from ...errors import FileError
 from ...files.file_access import check_readable, convert_os_errors
+from ...geometry.transforms import rotations_of_quaternions
 
 FLIP = np.diag([1.0, -1.0, -1.0])  # from y up and looking along -z, as in OpenGL, to y down and looking along z
 MIN_QUATERNION_LENGTH = 1e-6
@@ -88,9 +89,4 @@ def rotation_of_quaternion(quaternion: tuple[float, ...], path: Path) -> np.ndar
     length = float(np.linalg.norm(quaternion))
     if not np.isfinite(length) or length < MIN_QUATERNION_LENGTH:
         raise FileError(f'An image in "{path}" has no rotation; export the cameras again.')
-    w, x, y, z = np.array(quaternion, np.float64) / length
-    return np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
+    return rotations_of_quaternions(np.array(quaternion, np.float64) / length)

@@ -6,9 +6,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ...files.scratch import Scratch
+from ...geometry.transforms import normalize
 from ...jobs.chunks import map_ordered
 from .photograph import Photograph
-from .surface import Surface, to_unit
+from .surface import Surface
 from .views import View
 
 POINTS = 60_000
@@ -34,7 +35,7 @@ def sample_surface(surface: Surface, count: int) -> tuple[np.ndarray, np.ndarray
     triangles = generator.choice(len(surface.areas), count, p=surface.areas / surface.areas.sum())
     barycentric = generator.dirichlet((1.0, 1.0, 1.0), count)
     points = np.einsum("ni,nic->nc", barycentric, surface.mesh.vertices[surface.mesh.triangles[triangles]])
-    return points, to_unit(np.einsum("ni,nic->nc", barycentric, surface.corner_normals[triangles]))
+    return points, normalize(np.einsum("ni,nic->nc", barycentric, surface.corner_normals[triangles]))
 
 
 def observe(points: tuple[np.ndarray, np.ndarray], photographs: list[Photograph], views: list[View], scratch: Scratch) -> Observations:

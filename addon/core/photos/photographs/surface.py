@@ -8,6 +8,7 @@ import numpy as np
 from ...errors import GeometryError
 from ...geometry.edges import Edges, find_edges
 from ...geometry.mesh import TriangleMesh, check_points, face_areas_and_normals, vertex_normals
+from ...geometry.transforms import normalize
 
 MIN_SMOOTH_COSINE = 0.7  # A triangle has its own normal at corners where it bends away from that of the vertex by a larger angle.
 
@@ -60,10 +61,4 @@ class Surface:
     def locate(self, barycentric: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the point (T, 3) with the same `barycentric` coordinates (3,) in each triangle, and its unit normal (T, 3)."""
         points, normals = (np.einsum("i,tic->tc", barycentric, values) for values in (self.mesh.corners, self.corner_normals))
-        return points, to_unit(normals)
-
-
-def to_unit(vectors: np.ndarray) -> np.ndarray:
-    """Return `vectors` (N, 3) with length 1; zero stays zero."""
-    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return vectors / np.where(lengths > 0.0, lengths, 1.0)
+        return points, normalize(normals)

@@ -59,21 +59,14 @@ class Render:
     coverage: np.ndarray
 
 
-def prepare_surface(
-    mesh: TexturedMesh, textures: Sequence[Mipmaps | None], is_lit: bool = True, wedge_normals: np.ndarray | None = None
-) -> ViewedSurface:
+def prepare_surface(mesh: TexturedMesh, textures: Sequence[Mipmaps | None], is_lit: bool = True) -> ViewedSurface:
     """Return `mesh` prepared for renders.
 
     Args:
         textures: for each material its base color, linear, or None. Levels of one object share them.
-        is_lit: shade with a headlight, so that the shape of the surface counts.
-        wedge_normals: (W, 3) unit normals for shading; by default smooth ones, except at sharp vertices.
+        is_lit: shade with a headlight, so that the shape of the surface counts, by smooth normals except at sharp vertices.
     """
-    corner_normals = None
-    if is_lit and wedge_normals is not None:
-        corner_normals = wedge_normals[mesh.wedge_triangles].astype(np.float32)
-    elif is_lit:
-        corner_normals = find_corner_normals(mesh)
+    corner_normals = find_corner_normals(mesh) if is_lit else None
     return ViewedSurface(mesh.vertices, mesh.triangles, mesh.corner_uvs, corner_normals, mesh.materials, textures)
 
 
