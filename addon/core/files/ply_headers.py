@@ -9,7 +9,7 @@ from .file_access import check_readable, convert_os_errors
 
 MAX_HEADER_BYTES = 1 << 20
 MAX_COUNT = (1 << 31) - 1  # Blender counts elements in 32 bits
-TYPES = {  # of NumPy by those of the format
+TYPES = {  # NumPy types by those of the format
     **dict.fromkeys(("char", "int8"), "i1"), **dict.fromkeys(("uchar", "uint8"), "u1"), **dict.fromkeys(("short", "int16"), "i2"),
     **dict.fromkeys(("ushort", "uint16"), "u2"), **dict.fromkeys(("int", "int32"), "i4"), **dict.fromkeys(("uint", "uint32"), "u4"),
     **dict.fromkeys(("float", "float32"), "f4"), **dict.fromkeys(("double", "float64"), "f8"),
