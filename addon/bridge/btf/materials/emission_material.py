@@ -130,7 +130,7 @@ def build_relightable_material(name: str, images: BtfImages, tables: LookupTable
     blend_texels: blend clustered texels randomly per sample instead of not at all.
     """
     material, builder = create_two_sided_material(name)
-    material[LAYOUT] = {"version": VERSION, **{name: int(getattr(tables, name)) for name in LAYOUT_KEYS}}  # of the images
+    material[LAYOUT] = {"version": VERSION, **{name: int(getattr(tables, name)) for name in LAYOUT_KEYS}}
     material[DOME_FRESNEL] = [images.dome_fresnel.strength, images.dome_fresnel.power]
     material.cycles.emission_sampling = "NONE"
     suns = [builder.object_attribute(sun_direction_property(index)) for index in range(SUNS)]

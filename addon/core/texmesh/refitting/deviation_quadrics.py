@@ -15,20 +15,18 @@ import numpy as np
 from ...geometry.edges import halfedge_ends
 from ...geometry.mesh import face_areas_and_normals
 from ...geometry.transforms import signed_areas
-from ..simplification.collapse_fans import CollapseFans
-from ..simplification.removal_orders import evaluate_quadrics
 from ..simplification.topology import Collapses
+from ..simplification.wedge_quadrics import COLUMNS, ROWS, WedgeQuadrics
 from ..textured_mesh import TexturedMesh
 from .border_curves import find_border_halfedges
 from .correspondence import compute_uv_scale
 
-ROWS, COLUMNS = np.triu_indices(6)
 CURVE_WEIGHT = 1.0  # Weight of squared distances from an edge of a border in UV space, times its squared length.
 DEVIATION_WEIGHT = 0.5  # Weight of squared deviations of edges on borders in space, times their squared length.
 LENGTH_WEIGHT = 1e-6  # Weight of the squared length of a collapse, which decides where the map is affine.
 
 
-class DeviationQuadrics:
+class DeviationQuadrics(WedgeQuadrics):
     """A `CollapseCost`: squared texture deviations, integrated over the triangles that wedges stand for. Deviations along the normal count
     `normal_weight` times."""
 
@@ -36,9 +34,7 @@ class DeviationQuadrics:
         uv_scale = compute_uv_scale(mesh)
         points = np.column_stack([mesh.vertices[mesh.wedge_vertices], uv_scale * mesh.uvs])
         self._points = points - points.mean(axis=0)
-        homogeneous = np.column_stack([self._points, np.ones(len(points))])
-        self._monomials = homogeneous[:, ROWS] * homogeneous[:, COLUMNS] * np.where(ROWS == COLUMNS, 1.0, 2.0)
-        self._quadrics = np.zeros((len(points), len(ROWS)))
+        super().__init__(self._points)
         areas, normals = face_areas_and_normals(mesh.vertices[mesh.triangles])
         self._areas = np.bincount(mesh.wedge_triangles.ravel(), np.repeat(areas, 3) / 3.0, len(points))
         rows = _deviation_rows(self._points[mesh.wedge_triangles], normals, normal_weight)
@@ -47,30 +43,20 @@ class DeviationQuadrics:
             np.add.at(self._quadrics, mesh.wedge_triangles[:, corner], terms)
         self._add_borders(mesh)
         self._borders = BorderDeviations(mesh)
-        self._own_costs = np.einsum("wk,wk->w", self._quadrics, self._monomials)
+        self.finish()
 
     def evaluate(self, collapses: Collapses) -> np.ndarray:
         """See `CollapseCost`."""
-        (removed, other_removed), (kept, other_kept) = collapses.removed_wedges, collapses.kept_wedges
-        costs = self._evaluate(removed, kept)
-        rows = np.flatnonzero((other_removed >= 0) & (other_removed != removed))
-        costs[rows] += self._evaluate(other_removed[rows], other_kept[rows])
+        (removed, _), (kept, _) = collapses.removed_wedges, collapses.kept_wedges
+        costs = self.evaluate_wedges(collapses)
         costs += DEVIATION_WEIGHT * self._borders.evaluate(removed, kept)
         lengths = ((self._points[removed, :3] - self._points[kept, :3]) ** 2).sum(axis=1)
         return costs + LENGTH_WEIGHT * self._areas[removed] * lengths
 
-    def merge(self, collapses: Collapses, fans: CollapseFans) -> None:
-        """See `CollapseCost`."""
-        pairs = np.unique(fans.topology.wedges[fans.corners].astype(np.int64) * len(self._areas) + fans.wedges)
-        removed, kept = pairs // len(self._areas), pairs % len(self._areas)
+    def merge_wedges(self, removed: np.ndarray, kept: np.ndarray) -> None:
+        """See `WedgeQuadrics`."""
         self._borders.merge(removed, kept)
-        np.add.at(self._quadrics, kept, self._quadrics[removed])
-        np.add.at(self._areas, kept, self._areas[removed])
-        self._own_costs[kept] = np.einsum("wk,wk->w", self._quadrics[kept], self._monomials[kept])
-
-    def _evaluate(self, removed: np.ndarray, kept: np.ndarray) -> np.ndarray:
-        """Return the costs (N,) of moving wedges (N,) onto others, not negative."""
-        return np.maximum(evaluate_quadrics(self._quadrics, self._monomials, removed, kept) + self._own_costs.take(kept), 0.0)
+        super().merge_wedges(removed, kept)
 
     def _add_borders(self, mesh: TexturedMesh) -> None:
         """Add the squared distances from the edges of islands in UV space, which cover what is between the edge and a vertex next to it."""

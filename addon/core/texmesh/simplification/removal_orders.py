@@ -14,18 +14,16 @@ import numpy as np
 from ...arrays import TINY
 from ...geometry.mesh import longest_side, scaled_normals
 from ...geometry.transforms import signed_areas
-from ...jobs.chunks import slices
 from ..scale_space.features import ScaleMap
 from ..textured_mesh import TexturedMesh
 from .collapse_fans import CollapseFans
 from .engine import CollapseEngine
 from .topology import BOUNDARY, Collapses, build_topology, find_islands
+from .wedge_quadrics import COLUMNS, ROWS, WedgeQuadrics
 
 TIED_FRACTION = 0.01  # Perceptual values break ties if more than this fraction of the priorities are equal to others.
 WEIGHT_PER_SCALE = 1.15  # factor of the cost of a vertex per scale at which it is a feature: 1.1 to 1.25 gave the least visible levels
-ROWS, COLUMNS = np.triu_indices(6)
 CHUNK_SIZE = 1 << 14  # triangles
-CHUNK_COLLAPSES = 1 << 13
 MAX_SCALE_RATIO = 4.0  # between the UV scales of a triangle and of its island
 BOUNDARY_WEIGHT = 0.5  # Weight of a squared distance from an edge of a boundary, times its squared length.
 SEAM_WEIGHT = 0.02  # likewise of a seam. The texture beyond it is there in the neighboring island, so that more only costs accuracy
@@ -144,7 +142,7 @@ class ScaleWeightedQuadrics:
         self._quadrics.merge(collapses, fans)
 
 
-class TextureQuadrics:
+class TextureQuadrics(WedgeQuadrics):
     """A `CollapseCost`: sums of squared distances to the triangles and curves that a wedge stands for, weighted by area."""
 
     def __init__(self, mesh: TexturedMesh) -> None:
@@ -152,11 +150,8 @@ class TextureQuadrics:
         positions = (mesh.vertices - mesh.vertices.mean(axis=0)) * unit
         scales, overall = _find_uv_scales(mesh, unit)
         points = np.concatenate([positions[mesh.wedge_vertices], mesh.uvs * overall], axis=1)
-        homogeneous = np.concatenate([points, np.ones((len(points), 1))], axis=1)
-        self._monomials = homogeneous[:, ROWS] * homogeneous[:, COLUMNS] * np.where(ROWS == COLUMNS, 1.0, 2.0)
+        super().__init__(points)
         self._positions = positions
-        self._quadrics = np.zeros((len(points), len(ROWS)))
-        self._areas = np.zeros(len(points))
         triangles = np.ascontiguousarray(mesh.triangles.T)
         wedges = np.ascontiguousarray(mesh.wedge_triangles.T)
         topology = build_topology(triangles, wedges, np.arange(len(points)), np.zeros(len(mesh.vertices), bool))
@@ -166,28 +161,13 @@ class TextureQuadrics:
         for start in range(0, len(mesh.triangles), CHUNK_SIZE):
             rows = slice(start, start + CHUNK_SIZE)
             self._add_triangles(points, mesh.wedge_triangles[rows], scales[rows] / overall, curve_weights[:, rows])
-        self._own_costs = np.einsum("wk,wk->w", self._quadrics, self._monomials)
+        self.finish()
 
     def evaluate(self, collapses: Collapses) -> np.ndarray:
         """See `CollapseCost`."""
-        (removed, other_removed), (kept, other_kept) = collapses.removed_wedges, collapses.kept_wedges
-        costs = self._evaluate(removed, kept)
-        rows = np.flatnonzero((other_removed >= 0) & (other_removed != removed))
-        costs[rows] += self._evaluate(other_removed[rows], other_kept[rows])
+        costs, removed = self.evaluate_wedges(collapses), collapses.removed_wedges[0]
         displacements = self._positions[collapses.removed] - self._positions[collapses.kept]
         return costs + LENGTH_WEIGHT * self._areas[removed] * np.einsum("ij,ij->i", displacements, displacements)
-
-    def merge(self, collapses: Collapses, fans: CollapseFans) -> None:
-        """See `CollapseCost`."""
-        pairs = np.unique(fans.topology.wedges[fans.corners].astype(np.int64) * len(self._areas) + fans.wedges)
-        removed, kept = pairs // len(self._areas), pairs % len(self._areas)
-        np.add.at(self._quadrics, kept, self._quadrics[removed])
-        np.add.at(self._areas, kept, self._areas[removed])
-        self._own_costs[kept] = np.einsum("wk,wk->w", self._quadrics[kept], self._monomials[kept])
-
-    def _evaluate(self, removed: np.ndarray, kept: np.ndarray) -> np.ndarray:
-        """Return the costs (N,) of moving wedges (N,) onto others, not negative."""
-        return np.maximum(evaluate_quadrics(self._quadrics, self._monomials, removed, kept) + self._own_costs.take(kept), 0.0)
 
     def _add_triangles(self, points: np.ndarray, wedges: np.ndarray, scales: np.ndarray, curve_weights: np.ndarray) -> None:
         """Add the quadrics of triangles `wedges` (T, 3), and of their edges with `curve_weights` (3, T), to those of their wedges.
@@ -217,15 +197,6 @@ class TextureQuadrics:
             curve_terms = distances[:, ROWS] * distances[:, COLUMNS] * weights[:, None]
             np.add.at(self._quadrics, wedges[rows, corner], curve_terms)
             np.add.at(self._quadrics, wedges[rows, (corner + 1) % 3], curve_terms)
-
-
-def evaluate_quadrics(quadrics: np.ndarray, monomials: np.ndarray, removed: np.ndarray, kept: np.ndarray) -> np.ndarray:
-    """Return the values (N,) of the `quadrics` (W, K) of wedges `removed` (N,) at the `monomials` (W, K) of wedges `kept` (N,), in chunks
-    that stay in the cache."""
-    costs = np.empty(len(removed))
-    for chunk in slices(len(removed), CHUNK_COLLAPSES):
-        np.einsum("wk,wk->w", quadrics.take(removed[chunk], axis=0), monomials.take(kept[chunk], axis=0), out=costs[chunk])
-    return costs
 
 
 def _find_uv_scales(mesh: TexturedMesh, unit: float) -> tuple[np.ndarray, float]:
