@@ -87,7 +87,9 @@ def build_parser() -> command_line.Parser:
     extract.add_argument("--fov", default="50", help="field of view along the longer side of the image, in degrees (default: 50)")
     extract.add_argument("--size", default="800x600", help="width and height of the image in pixels (default: 800x600)")
     extract.add_argument("--tolerance", default="1", help="largest error in pixels (default: 1)")
-    extract.add_argument("--out", type=run_files.OUTPUT, required=True, help="the file to write: .ply, .obj or .blend")
+    extract.add_argument(
+        "--out", type=run_files.OUTPUT.ending_in(*EXTENSIONS), required=True, help="the file to write: .ply, .obj or .blend"
+    )
     return parser
 
 
@@ -201,8 +203,6 @@ def verify(given: Namespace) -> str:
 def extract(given: Namespace, line: command_line.ProgressLine) -> str:
     """Write the mesh that a camera needs."""
     out = given.out.absolute()
-    if out.suffix.lower() not in EXTENSIONS:
-        raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(EXTENSIONS)}.')
     tolerance = parse_number(given.tolerance, "--tolerance", 1e-3, 1e6)
     clock = StageClock()
     with TerrainStore(given.store.absolute()) as store:

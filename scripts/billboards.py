@@ -48,7 +48,9 @@ def build_parser() -> command_line.Parser:
     parser.add_argument(
         "input", type=run_files.INPUT, help="a .blend .obj .ply .stl .glb .gltf .fbx or .usd file; a .ply may be a point cloud"
     )
-    parser.add_argument("--out", type=run_files.OUTPUT_SCENE, required=True, help="the file to write: .blend, .obj or .glb")
+    parser.add_argument(
+        "--out", type=run_files.OUTPUT_SCENE.ending_in(*EXTENSIONS), required=True, help="the file to write: .blend, .obj or .glb"
+    )
     parser.add_argument("--report", type=run_files.REPORT, help="write a report of the run to this JSON file")
     add_flags(parser, BillboardSettings)
     add_flags(parser, BuildOptions, ["keep_original_visible"])
@@ -62,8 +64,6 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     given = build_parser().parse_args(arguments)
     settings = command_line.read_settings(given, BillboardSettings, BuildOptions, CrossfadeSettings)
     out = given.out.absolute()
-    if out.suffix.lower() not in EXTENSIONS:
-        raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(EXTENSIONS)}.')
     if given.cross_fade and out.suffix.lower() != ".blend":
         raise FileError(f'--cross-fade needs shader nodes, which "{given.out}" cannot store; --out must end in .blend.')
     given.files.check(obj_materials(out, material_path(out)))

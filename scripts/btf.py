@@ -23,7 +23,7 @@ from farfield.addon.bridge.billboards.scene_clouds import clouds_in
 from farfield.addon.bridge.btf.levels.emission_levels import link_suns
 from farfield.addon.bridge.overlays.line_chart import draw_line_chart
 from farfield.addon.core.btf.settings import BtfSettings, ExportSettings
-from farfield.addon.core.errors import FileError, GeometryError, SettingsError
+from farfield.addon.core.errors import GeometryError, SettingsError
 from farfield.addon.core.files.filenames import unique_filenames
 from farfield.addon.core.files.user_folders import check_owner
 from farfield.addon.core.jobs.progress import StageClock, run_to_end, subprogress
@@ -42,7 +42,7 @@ def build_parser() -> command_line.Parser:
     """Return the parser of all arguments of the script."""
     parser = command_line.Parser(prog="btf.py", description="Bake relightable textures for billboard clouds with Cycles.")
     parser.add_argument("input", type=run_files.INPUT, help="a .blend file with source objects and their cloud")
-    parser.add_argument("--out", type=run_files.OUTPUT_SCENE, required=True, help="the .blend file to write")
+    parser.add_argument("--out", type=run_files.OUTPUT_SCENE.ending_in(".blend"), required=True, help="the .blend file to write")
     parser.add_argument(
         "--work", type=run_files.WORK_FOLDER, help="folder for finished views, so that a cancelled bake can resume (default: none)"
     )
@@ -73,8 +73,6 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     found = command_line.read_settings(options, BtfSettings, ExportSettings)
     settings, export_settings = found[BtfSettings], found[ExportSettings]
     out = options.out.absolute()
-    if out.suffix.lower() != ".blend":
-        raise FileError(f'--out is "{options.out}"; it must end in .blend.')
     export_paths = [path.absolute() for path in options.export]
     check_model(settings, options.curve, export_paths)
     clock = StageClock()

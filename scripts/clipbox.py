@@ -51,7 +51,9 @@ def build_parser() -> command_line.Parser:
     parser = command_line.Parser(prog="clipbox.py", description="Create unbounded volumetric terrain in nested boxes around a viewer.")
     parser.add_argument("--at", default="0,0,60", help="position of the viewer, x,y,z in scene units (default: 0,0,60)")
     parser.add_argument("--path", type=run_files.INPUT, help="a .csv file with further positions of the viewer, x,y,z per line")
-    parser.add_argument("--out", type=run_files.OUTPUT, required=True, help="the file to write: .blend, .ply or .obj")
+    parser.add_argument(
+        "--out", type=run_files.OUTPUT.ending_in(*EXTENSIONS), required=True, help="the file to write: .blend, .ply or .obj"
+    )
     parser.add_argument("--report", type=run_files.REPORT, help="write a report of the run to this JSON file")
     add_flags(parser, ClipboxSettings)
     parser.add_argument("--convert-to-mesh", action="store_true", help="for a .blend: write regular meshes that do not need Farfield")
@@ -67,8 +69,6 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     settings = make_sources_absolute(command_line.read_settings(given, ClipboxSettings)[ClipboxSettings])
     convert_settings = read_convert_settings(given)
     out = given.out.absolute()
-    if out.suffix.lower() not in EXTENSIONS:
-        raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(EXTENSIONS)}.')
     if convert_settings is not None and out.suffix.lower() != ".blend":
         raise FileError(f'--out is "{given.out}"; with --convert-to-mesh it must end in .blend.')
     sources = {"--source": settings.source, "--source-color": settings.source_color}

@@ -74,10 +74,12 @@ def build_parser() -> command_line.Parser:
     )
     parser.add_argument("--images", type=run_files.INPUT, required=True, help="the folder of the photographs")
     parser.add_argument("--masks", type=run_files.INPUT, help="a folder of masks NAME.png or NAME.jpg.png, white where usable")
-    parser.add_argument("--out", type=run_files.OUTPUT_SCENE, help="the textured mesh to write: .blend, .obj or .glb")
+    parser.add_argument(
+        "--out", type=run_files.OUTPUT_SCENE.ending_in(*EXTENSIONS), help="the textured mesh to write: .blend, .obj or .glb"
+    )
     parser.add_argument(
         "--texture",
-        type=run_files.OUTPUT,
+        type=run_files.OUTPUT.ending_in(".png"),
         required=True,
         help="the texture to write, a PNG file; <UDIM> and <MATERIAL> in its name stand for tiles and materials",
     )
@@ -97,10 +99,6 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     given = build_parser().parse_args(arguments)
     settings = command_line.read_settings(given, PhotosSettings)[PhotosSettings]
     texture = given.texture.absolute()
-    if texture.suffix.lower() != ".png":
-        raise FileError(f'--texture is "{given.texture}"; it must end in .png.')
-    if given.out is not None and given.out.suffix.lower() not in EXTENSIONS:
-        raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(EXTENSIONS)}.')
     if given.out is not None:
         given.files.check(obj_materials(given.out.absolute()))
     check_files(given, texture, [first_path(texture)])

@@ -24,7 +24,6 @@ import bpy
 from farfield.addon.bridge.overlays.line_chart import draw_line_chart
 from farfield.addon.bridge.texmesh.glb_levels import level_outputs, write_levels
 from farfield.addon.bridge.texmesh.level_sets import read_level_set
-from farfield.addon.core.errors import FileError
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
 from farfield.addon.core.messages import join_sentences
 from farfield.addon.core.settings import add_flags
@@ -49,10 +48,14 @@ def build_parser() -> command_line.Parser:
     for command in (levels, analyze):
         command.add_argument("input", type=run_files.INPUT, help="a .blend .obj .ply .stl .glb .gltf .fbx or .usd file")
         command.add_argument("--report", type=run_files.REPORT, help="write a report of the run to this JSON file")
-    levels.add_argument("--out", type=run_files.OUTPUT_SCENE, required=True, help="the file to write: .blend or .glb")
+    levels.add_argument(
+        "--out", type=run_files.OUTPUT_SCENE.ending_in(*EXTENSIONS), required=True, help="the file to write: .blend or .glb"
+    )
     levels.add_argument("--one-file", action="store_true", help="write one .glb with all levels (MSFT_lod) instead of one per level")
     levels.add_argument("--no-quantized", dest="quantized", action="store_false", help="store numbers in a .glb in single precision")
-    analyze.add_argument("--plot", type=run_files.OUTPUT, help="draw features and ranges of the largest mesh to this PNG file")
+    analyze.add_argument(
+        "--plot", type=run_files.OUTPUT.ending_in(".png"), help="draw features and ranges of the largest mesh to this PNG file"
+    )
     for settings_type in (TexmeshSettings, SceneSettings):
         add_flags(levels, settings_type)
     add_flags(analyze, AnalysisSettings)
@@ -69,8 +72,6 @@ def make_levels(given: Namespace, line: command_line.ProgressLine) -> str:
     """Make levels and write them."""
     settings, scene_settings = read_level_settings(given), command_line.read_settings(given, SceneSettings)[SceneSettings]
     out = given.out.absolute()
-    if out.suffix.lower() not in EXTENSIONS:
-        raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(EXTENSIONS)}.')
     if out.suffix.lower() == ".glb" and not given.one_file:
         given.files.check(level_outputs(out, [output.path.absolute() for output in given.files.outputs]))
     clock = StageClock()
@@ -90,8 +91,6 @@ def make_levels(given: Namespace, line: command_line.ProgressLine) -> str:
 def analyze(given: Namespace, line: command_line.ProgressLine) -> str:
     """Find features, and write report and plot."""
     settings = command_line.read_settings(given, AnalysisSettings)[AnalysisSettings]
-    if given.plot is not None and given.plot.suffix.lower() != ".png":
-        raise FileError(f'--plot is "{given.plot}"; it must end in .png.')
     clock = StageClock()
     with clock.stage("read"):
         objects, moved = open_objects(given)

@@ -21,7 +21,6 @@ environment.import_farfield()
 import bpy
 
 from farfield.addon.bridge.unwrap.stretch_display import save_stretch_image
-from farfield.addon.core.errors import FileError
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
 from farfield.addon.core.messages import join_sentences
 from farfield.addon.core.settings import add_flags
@@ -42,9 +41,13 @@ def build_parser() -> command_line.Parser:
         prog="unwrap.py", description="Create low-stretch UV maps with more texels in important areas for the meshes of a file."
     )
     parser.add_argument("input", type=run_files.INPUT, help="a .blend .obj .ply .stl .glb .gltf .fbx or .usd file")
-    parser.add_argument("--out", type=run_files.OUTPUT_SCENE, required=True, help="the file to write: .blend, .obj or .glb")
+    parser.add_argument(
+        "--out", type=run_files.OUTPUT_SCENE.ending_in(*EXTENSIONS), required=True, help="the file to write: .blend, .obj or .glb"
+    )
     parser.add_argument("--report", type=run_files.REPORT, help="write a report of the run to this JSON file")
-    parser.add_argument("--image", type=run_files.OUTPUT, help="write the UV map of the first mesh, colored by stretch, to this PNG file")
+    parser.add_argument(
+        "--image", type=run_files.OUTPUT.ending_in(".png"), help="write the UV map of the first mesh, colored by stretch, to this PNG file"
+    )
     add_flags(parser, UnwrapSettings)
     return parser
 
@@ -56,10 +59,6 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
         given.importance = "direction"
     settings = command_line.read_settings(given, UnwrapSettings)[UnwrapSettings]
     out = given.out.absolute()
-    if out.suffix.lower() not in EXTENSIONS:
-        raise FileError(f'--out is "{given.out}"; it must end in one of {", ".join(EXTENSIONS)}.')
-    if given.image is not None and given.image.suffix.lower() != ".png":
-        raise FileError(f'--image is "{given.image}"; it must end in .png.')
     clock = StageClock()
     with clock.stage("read"):
         moved = scene_files.describe_moved(scene_files.open_near_origin(given.input.absolute(), given.files))

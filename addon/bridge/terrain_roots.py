@@ -7,7 +7,7 @@ stored in double precision.
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Any, ClassVar, Self
 
 import bpy
 import mathutils
@@ -16,22 +16,25 @@ import numpy as np
 from ..core.errors import SettingsError
 from ..core.geometry.viewers import Viewer
 from ..core.json_values import parse_json
+from ..core.settings import Settings
 from .geometry.mesh_pool import is_local
-
-Settings = TypeVar("Settings")
 
 
 @dataclass(frozen=True)
 class TerrainRoot:
     """A terrain in the scene. References to objects must not be kept while the user works, so it is identified by the name of its root.
 
-    tool: identifier of the tool, which a subclass sets; it is part of the names of custom properties. label: what messages call its
-    terrains. library_path: the file that the terrain is linked from, None for a terrain of this file. Both can have terrains of the same
-    name.
+    Attributes:
+        tool: identifier of the tool, part of the names of custom properties; set by a subclass, like the following two.
+        label: what messages call its terrains.
+        settings_type: the type of their settings.
+        name: of the root.
+        library_path: the file that the terrain is linked from, None for a terrain of this file. Both can have terrains of the same name.
     """
 
     tool: ClassVar[str] = ""
     label: ClassVar[str] = "terrain"
+    settings_type: ClassVar[type[Settings]] = Settings
 
     name: str
     library_path: str | None = None
@@ -122,14 +125,15 @@ class TerrainRoot:
         """
         raise NotImplementedError
 
-    def read_settings(self, settings_type: type[Settings]) -> Settings:
-        """Return the stored settings.
+    @property
+    def settings(self) -> Any:
+        """The stored settings, of the type `settings_type`.
 
         Raises:
             SettingsError: they cannot be read, for example because a newer version wrote them.
         """
         try:
-            return settings_type(**parse_json(self.root[self.settings_key()]))
+            return self.settings_type(**parse_json(self.root[self.settings_key()]))
         except SettingsError as error:
             raise SettingsError(f'The settings of the terrain "{self.name}" are invalid: {error} Create the terrain again.') from error
         except (ArithmeticError, TypeError, ValueError) as error:

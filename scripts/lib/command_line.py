@@ -82,7 +82,7 @@ class Parser(argparse.ArgumentParser):
         actions = self.path_arguments(getattr(parsed, "command", None))
         values = [(argument_name(action), action.type, getattr(parsed, action.dest)) for action in actions]
         paths = [(name, kind, path) for name, kind, value in values for path in (value if isinstance(value, list) else [value])]
-        parsed.files.check_arguments(item for item in paths if item[2] is not None)
+        parsed.files.check_arguments([item for item in paths if item[2] is not None])
         return parsed
 
     def path_arguments(self, command: str | None = None) -> list[argparse.Action]:

@@ -2,9 +2,9 @@
 
 import argparse
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from urllib.parse import unquote
@@ -14,6 +14,7 @@ from lib import environment
 environment.import_farfield()
 
 from farfield.addon.bridge.scene_paths import FILE, scene_inputs
+from farfield.addon.core.errors import FileError
 from farfield.addon.core.files.far_meshes import parse_material_library
 from farfield.addon.core.files.file_access import check_writable, is_stream, is_unicode
 from farfield.addon.core.files.outputs import Input, Output, check_outputs, is_named_by
@@ -50,6 +51,7 @@ class PathType:
         is_closed: of an input: whether it is a folder into which nothing may be written.
         changes_scenes: of an output: whether it may be the .blend file that is the input, which is then changed in place.
         may_be_stream: of an output: whether it may be a device or a pipe, which is written to.
+        extensions: of an output: what its name may end in, in lower case; anything if there are none.
     """
 
     is_output: bool = False
@@ -59,6 +61,11 @@ class PathType:
     is_closed: bool = False
     changes_scenes: bool = False
     may_be_stream: bool = False
+    extensions: tuple[str, ...] = ()
+
+    def ending_in(self, *extensions: str) -> "PathType":
+        """Return the type of files with one of these extensions."""
+        return replace(self, extensions=extensions)
 
     def __call__(self, text: str) -> Path:
         """Parse the argument."""
@@ -93,7 +100,7 @@ class RunFiles:
     inputs: list[Input] = field(default_factory=list)
     outputs: list[Output] = field(default_factory=list)
 
-    def check_arguments(self, arguments: Iterable[tuple[str, PathType, Path]]) -> None:
+    def check_arguments(self, arguments: Sequence[tuple[str, PathType, Path]]) -> None:
         """Check the arguments that are given: their names, types and values. Raises FileError, see `check_outputs`."""
         outputs, inputs = [], []
         for name, kind, path in arguments:
@@ -103,6 +110,10 @@ class RunFiles:
                 changes = THE_INPUT if kind.changes_scenes and path.suffix.lower() == ".blend" else ""
                 outputs.append(Output(name, path, kind.check, kind.is_folder, kind.is_exclusive, changes))
         self.check(outputs, inputs)
+        for name, kind, path in arguments:
+            if kind.extensions and path.suffix.lower() not in kind.extensions:
+                some = "one of " if len(kind.extensions) > 1 else ""
+                raise FileError(f'{name} is "{path}"; it must end in {some}{", ".join(kind.extensions)}.')
 
     def check(self, outputs: Iterable[Output] = (), inputs: Iterable[Input] = ()) -> None:
         """Check all files if there are further ones. Raises FileError, see `check_outputs`."""

@@ -42,15 +42,7 @@ class SceneTerrain(TerrainRoot):
 
     tool: ClassVar[str] = "bdam"
     label: ClassVar[str] = "large terrain"
-
-    @property
-    def settings(self) -> ViewSettings:
-        """How it is shown.
-
-        Raises:
-            SettingsError: the settings cannot be read, for example because a newer version wrote them.
-        """
-        return self.read_settings(ViewSettings)
+    settings_type = ViewSettings
 
     @property
     def folder(self) -> Path:

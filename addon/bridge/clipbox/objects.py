@@ -33,15 +33,7 @@ class SceneTerrain(TerrainRoot):
 
     tool: ClassVar[str] = "clipbox"
     label: ClassVar[str] = "clip-box terrain"
-
-    @property
-    def settings(self) -> ClipboxSettings:
-        """The settings that it was created with.
-
-        Raises:
-            SettingsError: they cannot be read, for example because a newer version wrote them.
-        """
-        return self.read_settings(ClipboxSettings)
+    settings_type = ClipboxSettings
 
     def input_paths(self) -> list[Path]:
         """Return the files of heights and colors. Raises SettingsError."""

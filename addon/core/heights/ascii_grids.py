@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import FileError
-from ..files.file_access import error_reason
+from ..files.file_access import convert_os_errors
 from ..files.height_maps import MAX_SAMPLES, are_valid_sizes
 from ..files.segment_cache import SegmentCache
 from ..geometry.coordinate_systems import seem_degrees
@@ -72,17 +72,15 @@ class AsciiGrid:
 
     def _parse(self, start: int, stop: int) -> np.ndarray:
         size = int(self.row_offsets[stop] - self.row_offsets[start])
+        if size > MAX_NUMBER_BYTES * ((stop - start) * self.shape[1] + 1):
+            raise FileError(BAD_NUMBERS.format(path=self.path))
+        with convert_os_errors(f'"{self.path}" cannot be read'), self.path.open("rb") as file:
+            file.seek(int(self.row_offsets[start]))
+            text = file.read(size)
         try:
-            if size > MAX_NUMBER_BYTES * ((stop - start) * self.shape[1] + 1):
-                raise ValueError("the numbers are too long")
-            with self.path.open("rb") as file:
-                file.seek(int(self.row_offsets[start]))
-                text = file.read(size)
             return _parse_numbers(text).reshape(stop - start, self.shape[1])
         except ValueError as error:
             raise FileError(BAD_NUMBERS.format(path=self.path)) from error
-        except OSError as error:
-            raise FileError(f'"{self.path}" cannot be read: {error_reason(error)}.') from error
 
 
 def _parse_numbers(text: bytes) -> np.ndarray:

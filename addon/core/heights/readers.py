@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import FileError
 from ..files.array_files import map_array, read_raw_window
-from ..files.file_access import error_reason
+from ..files.file_access import convert_os_errors
 from ..files.geotiff import GeoReference
 from ..files.height_maps import check_numeric, check_size
 from ..geometry.placements import Placement, unplaced
@@ -35,12 +35,10 @@ def open_source(path: Path, context: SourceContext) -> HeightSource:
     opener = OPENERS.get(path.suffix.lower())
     if opener is None:
         raise FileError(f'"{path}" is no elevation model; its name must end in one of {", ".join(sorted(OPENERS))}.')
-    try:
+    with convert_os_errors(f'"{path}" cannot be read'):
         if path.stat().st_size == 0:
             raise FileError(f'The file "{path}" is empty.')
         return opener(path, context)
-    except OSError as error:
-        raise FileError(f'"{path}" cannot be read: {error_reason(error)}.') from error
 
 
 def _open_hgt_source(path: Path, _context: SourceContext) -> HeightSource:

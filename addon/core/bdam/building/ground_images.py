@@ -15,7 +15,7 @@ import numpy as np
 
 from ...errors import FileError, ImageError
 from ...files.atomic_write import TEMPORARY_SUFFIX
-from ...files.file_access import check_readable, convert_os_errors, error_reason
+from ...files.file_access import check_readable, convert_os_errors
 from ...files.geotiff import GeoReference
 from ...files.segment_cache import SegmentCache
 from ...files.tiffs import TiffImage, open_tiff
@@ -177,8 +177,7 @@ def _open_color_tiff(path: Path) -> TiffImage:
 def _convert_image_errors(path: Path) -> Iterator[None]:
     """Raise a FileError that names the whole path instead of an ImageError or an OSError in the block."""
     try:
-        yield
+        with convert_os_errors(f'"{path}" cannot be read'):
+            yield
     except ImageError as error:
         raise FileError(f'"{path}" cannot be used as a texture: {error}') from error
-    except OSError as error:
-        raise FileError(f'"{path}" cannot be read: {error_reason(error)}.') from error
