@@ -61,12 +61,13 @@ def join_instances(instances: Sequence[SourceInstance], to_object: np.ndarray) -
     slots = [np.array([materials.setdefault(key, len(materials)) for key in mesh.materials], np.int32) for mesh in parts]
     starts = np.cumsum([[0, 0, 0], *([len(mesh.vertices), len(mesh.normals), int(mesh.polygons.max()) + 1] for mesh in parts)], axis=0)
     uv_map = _name_uv_map(parts)
+    names = dict.fromkeys([*([uv_map] if uv_map else []), *(name for mesh in parts for name in mesh.attributes)])
 
     def offset(name: str, column: int) -> np.ndarray:
-        return np.concatenate([
-            _turn(getattr(mesh, name), turned) + start
-            for mesh, turned, start in zip(parts, is_mirrored, starts[:-1, column].tolist(), strict=True)
-        ]).astype(np.int32)  # fmt: skip
+        """Return indices of all parts, (T,) or those of corners (T, 3), which go around mirrored triangles in the other direction."""
+        arrays = [getattr(mesh, name) for mesh in parts]
+        turned = [array[:, ::-1] if flips and array.ndim == 2 else array for array, flips in zip(arrays, is_mirrored, strict=True)]
+        return np.concatenate([array + start for array, start in zip(turned, starts[:-1, column].tolist(), strict=True)]).astype(np.int32)
 
     with np.errstate(invalid="ignore"):  # A later check reports coordinates that are not finite.
         vertices = [transform_points(matrix, mesh.vertices) for matrix, mesh in zip(matrices, parts, strict=True)]
@@ -80,15 +81,10 @@ def join_instances(instances: Sequence[SourceInstance], to_object: np.ndarray) -
         generated=np.concatenate([mesh.generated for mesh in parts]),
         material_indices=np.concatenate([slot[mesh.material_indices] for slot, mesh in zip(slots, parts, strict=True)]),
         materials=tuple(materials),
-        attributes=_join_attributes(parts, uv_map),
+        attributes={name: _join_attribute(parts, name, name == uv_map) for name in names},
         uv_map=uv_map,
         color=next((mesh.color for mesh in parts if mesh.color), ""),
     )
-
-
-def _turn(corners: np.ndarray, is_mirrored: bool) -> np.ndarray:
-    """Return the indices of corners (T, 3) in the other direction if their mesh is mirrored; others (T,) as they are."""
-    return corners[:, ::-1] if is_mirrored and corners.ndim == 2 else corners
 
 
 def _transform_normals(matrix: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -104,12 +100,6 @@ def _name_uv_map(meshes: Sequence[EvaluatedMesh]) -> str:
     while name and any(name != mesh.uv_map and name in mesh.attributes for mesh in meshes if mesh.uv_map):
         name += " joined"
     return name
-
-
-def _join_attributes(meshes: Sequence[EvaluatedMesh], uv_map: str) -> dict[str, MeshAttribute]:
-    """Return the attributes of any of the `meshes`, and `uv_map`, the UV maps that render."""
-    names = dict.fromkeys([*([uv_map] if uv_map else []), *(name for mesh in meshes for name in mesh.attributes)])
-    return {name: _join_attribute(meshes, name, name == uv_map) for name in names}
 
 
 def _join_attribute(meshes: Sequence[EvaluatedMesh], name: str, is_uv_map: bool) -> MeshAttribute:

@@ -96,8 +96,8 @@ def held_out_views(count: int = 12, seed: int = 0) -> np.ndarray:
     Axis-aligned views favor or penalize objects that are aligned to the axes themselves. Of 64 random rotations of one even set, the one
     is chosen whose directions keep farthest from the six half axes.
     """
-    rotations = _random_rotations(64, np.random.default_rng(seed))
-    candidates = fibonacci_sphere(count) @ rotations
+    quaternions = np.random.default_rng(seed).normal(size=(64, 4))  # Normalized, they are uniformly distributed rotations.
+    candidates = fibonacci_sphere(count) @ rotations_of_quaternions(normalize(quaternions))
     max_axis_cosines = np.abs(candidates).max(axis=(1, 2))
     return candidates[np.argmin(max_axis_cosines)]
 
@@ -105,11 +105,6 @@ def held_out_views(count: int = 12, seed: int = 0) -> np.ndarray:
 def _cell_centers(size: int) -> np.ndarray:
     centers = (2.0 * np.arange(size) + 1.0) / size - 1.0
     return np.stack(np.meshgrid(centers, centers), axis=-1).reshape(-1, 2)
-
-
-def _random_rotations(count: int, random: np.random.Generator) -> np.ndarray:
-    """Return (count, 3, 3) uniformly distributed rotation matrices, from unit quaternions with normally distributed components."""
-    return rotations_of_quaternions(normalize(random.normal(size=(count, 4))))
 
 
 @dataclass(frozen=True)

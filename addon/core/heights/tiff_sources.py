@@ -45,13 +45,14 @@ def open_tiff_source(path: Path, context: SourceContext) -> HeightSource:
             heights[tiff.mask.read(window, columns, context.cache)[:, :, 0] == 0] = np.nan
         return heights if position.is_south_up else heights[::-1]
 
+    has_steps = tiff.dtype.kind in "iu" and (is_gray or abs(offset / scale - round(offset / scale)) < MAX_STEP_ERROR)
     bits = 8 * tiff.dtype.itemsize if tiff.dtype.kind == "u" else 1
     return HeightSource(
         path=path,
         shape=tiff.shape,
         placement=position.placement,
         read=read,
-        height_step=abs(scale) if tiff.dtype.kind in "iu" and (is_gray or _is_multiple(offset, scale)) else None,
+        height_step=abs(scale) if has_steps else None,
         warnings=(*position.warnings, *_warn_of_images(tiff), *(warn_of_steps(path, bits) if is_gray else ())),
         is_gray=is_gray,
         block_rows=tiff.segment_shape[0] if tiff.is_compressed else 1,
@@ -83,10 +84,6 @@ def _scale_gray(tiff: TiffImage, image_height: float) -> tuple[float, float]:
         return image_height / np.iinfo(tiff.palette.dtype).max, 0.0
     largest = 1 if tiff.dtype.kind == "b" else np.iinfo(tiff.dtype).max
     return (-image_height / largest, image_height) if tiff.is_inverted else (image_height / largest, 0.0)
-
-
-def _is_multiple(offset: float, scale: float) -> bool:
-    return abs(offset / scale - round(offset / scale)) < MAX_STEP_ERROR
 
 
 def _select_heights(samples: np.ndarray, tiff: TiffImage) -> np.ndarray:

@@ -87,7 +87,8 @@ def decode(data: bytes | memoryview, max_pixels: int = MAX_PIXELS) -> np.ndarray
             colors, 16 bits, several images.
     """
     if bytes(data[: len(RAW_MAGIC)]) == RAW_MAGIC:
-        return _decode_raw(data, max_pixels)
+        shape = _check_raw(data, max_pixels)
+        return np.frombuffer(data, np.uint8, offset=RAW_HEADER.size).reshape(shape).copy()
     with _open(io.BytesIO(data)) as image:
         return _decode_opened(image, len(data), max_pixels)
 
@@ -203,11 +204,6 @@ def _check_opened(image: "ImageFile", data_size: int, max_pixels: int) -> None:
 
 def _rgb_mode(image: "ImageFile") -> str:
     return "RGBA" if "transparency" in image.info else MODES[image.mode]
-
-
-def _decode_raw(data: bytes | memoryview, max_pixels: int) -> np.ndarray:
-    shape = _check_raw(data, max_pixels)
-    return np.frombuffer(data, np.uint8, offset=RAW_HEADER.size).reshape(shape).copy()
 
 
 def _check_raw(data: bytes | memoryview, max_pixels: int) -> tuple[int, int, int]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -138,20 +139,17 @@ def warn_of_heights(terrain: TerrainField) -> TerrainField:
 
     Files that do not declare such a number are read once. Raises FileError.
     """
-    found = [_find_undeclared(source) for source in terrain.mosaic.sources]
-    sources = tuple(_mask(source, voids) for source, voids in zip(terrain.mosaic.sources, found, strict=True))
-    named = (name for source, voids in zip(sources, found, strict=True) for name in name_voids(source.path, voids))
-    terrain = replace(terrain, mosaic=replace(terrain.mosaic, sources=sources))
+    sources, named = [], []
+    for source in terrain.mosaic.sources:
+        voids = find_voids(_read_all(source), source.void_heights, source.scale)
+        sources.append(replace(source, read=partial(_read_without, source, voids)) if voids else source)
+        named += name_voids(source.path, voids)
+    terrain = replace(terrain, mosaic=replace(terrain.mosaic, sources=tuple(sources)))
     return replace(terrain, warnings=(*terrain.warnings, *named, *check_heights(terrain)))
 
 
-def _find_undeclared(source: HeightSource) -> list[Void]:
-    return find_voids(_read_all(source), source.void_heights, source.scale) if source.void_heights else []
-
-
-def _mask(source: HeightSource, voids: list[Void]) -> HeightSource:
-    """Return a source whose heights that mean "unknown" are holes."""
-    return replace(source, read=lambda rows, columns: mask_voids(source.read(rows, columns), voids)) if voids else source
+def _read_without(source: HeightSource, voids: list[Void], rows: slice, columns: slice) -> np.ndarray:
+    return mask_voids(source.read(rows, columns), voids)
 
 
 def _read_all(source: HeightSource) -> Iterator[np.ndarray]:

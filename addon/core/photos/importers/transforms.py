@@ -78,7 +78,7 @@ def _build_lens(values: dict[str, Any], name: str, path: Path, read_size: ReadSi
     other = next((key for key in OTHER_LENSES if values.get(key)), None)
     if other or not (is_fisheye or model == FULL_MODEL or model in PERSPECTIVE_MODELS):
         raise UnusableCameraError(f"its camera model is {other or model}")
-    size = _read_size_of(values, name, read_size)
+    size = (int(values["w"]), int(values["h"])) if "w" in values and "h" in values else read_size(name)  # the first ones of NeRF have none
     focal, center = _read_focal(values, size, path), (float(values.get("cx", 0.5 * size[0])), float(values.get("cy", 0.5 * size[1])))
     k1, k2, k3, k4, k5, k6, p1, p2 = (float(values.get(key, 0.0)) for key in ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"))
     if is_fisheye:
@@ -88,11 +88,6 @@ def _build_lens(values: dict[str, Any], name: str, path: Path, read_size: ReadSi
     if k3 or model == FULL_MODEL:
         return Lens(FULL_MODEL, size, focal, center, (k1, k2, p1, p2, k3, k4, k5, k6))
     return Lens("OPENCV", size, focal, center, (k1, k2, p1, p2))
-
-
-def _read_size_of(values: dict[str, Any], name: str, read_size: ReadSize) -> tuple[int, int]:
-    """Return width and height, those of the photograph if the file, like the first ones of NeRF, has none."""
-    return (int(values["w"]), int(values["h"])) if "w" in values and "h" in values else read_size(name)
 
 
 def _read_focal(values: dict[str, Any], size: tuple[int, int], path: Path) -> tuple[float, float]:
