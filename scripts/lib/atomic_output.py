@@ -9,7 +9,7 @@ from lib import environment
 environment.import_farfield()
 
 from farfield.addon.core.errors import FileError
-from farfield.addon.core.files import atomic_write, file_access
+from farfield.addon.core.files import atomic_write
 
 
 @contextmanager
@@ -32,13 +32,6 @@ def atomic_file(path: Path) -> Iterator[Path]:
     """
     with _convert_operator_errors(f'Cannot write "{path}"'), atomic_write.atomic_write(path) as temporary:
         yield temporary
-
-
-def check_writable(*paths: Path | None) -> None:
-    """Raise FileError when one of `paths` cannot be written, before any work is done. Paths that are None are skipped."""
-    for path in paths:
-        if path is not None:
-            file_access.check_writable(path)
 
 
 @contextmanager
