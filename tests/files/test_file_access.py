@@ -17,7 +17,7 @@ from farfield.addon.core.files.file_access import (
     is_file,
     is_folder,
     is_stream,
-    read_limited,
+    read_file,
 )
 
 only_on_posix = pytest.mark.skipif(os.name == "nt", reason="Windows has no mode bits and no named pipes in folders")
@@ -84,11 +84,11 @@ def test_what_lies_at_a_path(tmp_path):
 @only_on_posix
 def test_no_more_of_a_file_is_read_than_is_allowed(tmp_path):
     (tmp_path / "file").write_bytes(b"12345")
-    assert read_limited(tmp_path / "file", 5) == b"12345"
-    assert "more than 4 bytes" in message(lambda path: read_limited(path, 4), tmp_path / "file")
+    assert read_file(tmp_path / "file", 5) == b"12345"
+    assert "more than 4 bytes" in message(lambda path: read_file(path, 4), tmp_path / "file")
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", file_access.Path("/dev/zero")):
-        assert "device or a pipe" in message(lambda path: read_limited(path, 4), path)
+        assert "device or a pipe" in message(lambda path: read_file(path, 4), path)
 
 
 @only_on_posix

@@ -26,6 +26,11 @@ class ScopedSocket:
         """Whether the value is that of the socket itself: an input without a link."""
         return not self.socket.is_output
 
+    @property
+    def operation(self) -> str:
+        """The operation of the Math node that has the output, "" for other nodes and for constants."""
+        return self.node.operation if not self.is_constant and self.node.type == "MATH" else ""
+
     def input(self, key: str | int) -> "ScopedSocket":
         """Return what determines an input of the node, by its identifier or index, see `find_source`."""
         inputs = self.node.inputs

@@ -133,7 +133,7 @@ def _read_opacity(source: ScopedSocket, is_inverted: bool) -> tuple[ColorProduct
 
 def _read_inverse(source: ScopedSocket) -> ColorProduct | None:
     """Return what a node subtracts from 1, None for other nodes."""
-    if source.is_constant or source.node.type != "MATH" or source.node.operation != "SUBTRACT":
+    if source.operation != "SUBTRACT":
         return None
     one = read_source_product(source.input(0))
     return read_source_product(source.input(1)) if one.is_constant and one.factor[0] == 1.0 else None
@@ -141,20 +141,13 @@ def _read_inverse(source: ScopedSocket) -> ColorProduct | None:
 
 def _read_alpha(source: ScopedSocket) -> tuple[ColorProduct, float | None]:
     """Return an opacity without the comparison that makes it 0 or 1, and the value that it is compared with."""
-    if not source.is_constant and source.node.type == "MATH":
-        operation = source.node.operation
-        if operation == "ROUND":
-            return read_source_product(source.input(0)), 0.5
-        edge = _read_number(source.input(1)) if operation == "GREATER_THAN" else None
-        if edge is not None:
-            return read_source_product(source.input(0)), edge
-        if operation == "SUBTRACT" and _read_number(source.input(0)) == 1.0:
-            compared = source.input(1)
-            if not compared.is_constant and compared.node.type == "MATH" and compared.node.operation == "LESS_THAN":
-                edge = _read_number(compared.input(1))
-                if edge is not None:
-                    return read_source_product(compared.input(0)), edge
-    return read_source_product(source), None
+    if source.operation == "ROUND":
+        return read_source_product(source.input(0)), 0.5
+    compared = source if source.operation == "GREATER_THAN" else None
+    if source.operation == "SUBTRACT" and _read_number(source.input(0)) == 1.0 and source.input(1).operation == "LESS_THAN":
+        compared = source.input(1)
+    edge = None if compared is None else _read_number(compared.input(1))
+    return (read_source_product(source), None) if edge is None else (read_source_product(compared.input(0)), edge)
 
 
 def _read_number(source: ScopedSocket) -> float | None:

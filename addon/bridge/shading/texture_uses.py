@@ -124,12 +124,12 @@ def _read_wrap(output: ScopedSocket) -> tuple[tuple[str, str], ScopedSocket] | N
     wraps, sources = [], []
     for axis in ("X", "Y"):
         component, wrap = output.input(axis), "clamp"
-        if component.node.type == "MATH" and not component.is_constant:
+        if component.operation:
             constants = [component.input(index) for index in (1, 2)]
             values = [item.socket.default_value if item.is_constant else None for item in constants]
-            if component.node.operation == "WRAP" and values == [0.0, 1.0]:
+            if component.operation == "WRAP" and values == [0.0, 1.0]:
                 wrap = "repeat"
-            elif component.node.operation == "PINGPONG" and values[0] == 1.0:
+            elif component.operation == "PINGPONG" and values[0] == 1.0:
                 wrap = "mirror"
             else:
                 return None

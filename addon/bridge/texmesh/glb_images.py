@@ -5,7 +5,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ...core.files.file_access import convert_os_errors, is_file
+from ...core.files.file_access import is_file, read_file
 from ...core.files.glb import IMAGE_TYPES
 from ...core.imaging.coded_images import encode
 from ...core.imaging.colors import LUMINANCE, encode_signed_srgb
@@ -67,10 +67,7 @@ def _read_content(image: bpy.types.Image) -> bytes:
     if image.packed_files:
         return image.packed_files[0].packed_file.data
     path = Path(find_path(image))
-    if not is_file(path):
-        return b""
-    with convert_os_errors(f'Cannot read "{path}"'):
-        return path.read_bytes()
+    return read_file(path) if is_file(path) else b""
 
 
 def _read_encoded(image: bpy.types.Image) -> np.ndarray:

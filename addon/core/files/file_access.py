@@ -87,7 +87,7 @@ def exists(path: Path) -> bool:
     return read_status(path) is not None
 
 
-def read_limited(path: Path, max_bytes: int) -> bytes:
+def read_file(path: Path, max_bytes: int | None = None) -> bytes:
     """Return the content of a regular file.
 
     Raises:
@@ -95,8 +95,8 @@ def read_limited(path: Path, max_bytes: int) -> bytes:
     """
     check_readable(path)
     with convert_os_errors(f'Cannot read "{path}"'), path.open("rb") as file:
-        content = file.read(max_bytes + 1)
-    if len(content) > max_bytes:
+        content = file.read() if max_bytes is None else file.read(max_bytes + 1)
+    if max_bytes is not None and len(content) > max_bytes:
         raise FileError(f'"{path}" has more than {max_bytes:,} bytes, too many for such a file; give the path of another one.')
     return content
 
@@ -186,10 +186,7 @@ def read_status(path: Path) -> os.stat_result | None:
 
 def has_companion(path: Path) -> bool:
     """Whether there is a regular file at a path that is made of another one. Its name may be too long for that."""
-    try:
-        return path.is_file()
-    except OSError:
-        return False
+    return os.path.isfile(path)  # noqa: PTH113 - unlike `Path.is_file`, it raises no errors
 
 
 def _read_status(path: Path) -> os.stat_result | None:

@@ -121,12 +121,11 @@ def _encode_material(material: GlbMaterial, texture: dict[str, Any] | None) -> d
 
 def _encode_placement(material: GlbMaterial, uv_range: UvRange) -> dict[str, Any]:
     """Return the transform from stored texture coordinates to those of the image as an extension; nothing if they are the same."""
-    if material.texture.placement is None:
-        if uv_range == UNIT_RANGE:
-            return {}
-        return {"extensions": {TEXTURE_TRANSFORM: {"offset": list(uv_range.offset), "scale": list(uv_range.scale)}}}
+    if material.texture.placement is None and uv_range == UNIT_RANGE:
+        return {}
+    placement = np.eye(2, 3) if material.texture.placement is None else material.texture.placement
     stored = np.array([[uv_range.scale[0], 0.0, uv_range.offset[0]], [0.0, uv_range.scale[1], uv_range.offset[1]], [0.0, 0.0, 1.0]])
-    found = _split(FLIP @ np.vstack([material.texture.placement, [0.0, 0.0, 1.0]]) @ FLIP @ stored)
+    found = _split(FLIP @ np.vstack([placement, [0.0, 0.0, 1.0]]) @ FLIP @ stored)
     if found is None:
         raise GeometryError(f'The material "{material.name}" shears its texture, which glTF cannot store; place it otherwise.')
     offset, rotation, scale = found

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import FileError
-from ..files.file_access import exists, read_limited
+from ..files.file_access import exists, read_file
 from ..json_values import integer, numbers, parse_json, text
 from .tile_pyramid import TilePyramid
 
@@ -239,7 +239,7 @@ def read_manifest(folder: Path) -> Manifest:
     path = folder / MANIFEST
     if not exists(path):
         raise FileError(f'"{folder}" contains no "{MANIFEST}"; choose the folder that Export Package wrote.')
-    return decode_manifest(read_limited(path, MAX_MANIFEST_BYTES))
+    return decode_manifest(read_file(path, MAX_MANIFEST_BYTES))
 
 
 def _to_manifest(values: dict[str, Any]) -> Manifest:

@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FileError
+from ...files.file_access import read_file
 from ...geometry.lenses import MODELS, Lens, PhotoCamera
 from .camera_notes import CameraNotes, UnusableCameraError
-from .reading import BinaryReader, ReadSize, read_file, read_text_lines, rotation_of_quaternion
+from .reading import BinaryReader, ReadSize, read_text_lines, rotation_of_quaternion
 
 EXTENSIONS = (".bin", ".txt")
 PARAMETER_COUNTS = {  # Lens models in the order of their numbers in binary files, also those that no model here equals.

@@ -5,10 +5,11 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import FileError
+from ...files.file_access import read_file
 from ...geometry.lenses import PhotoCamera
 from .camera_notes import CameraNotes
 from .meshroom import read_meshroom
-from .reading import ReadSize, read_file
+from .reading import ReadSize
 from .transforms import read_transforms
 
 OTHERS = (  # files that are not read: keys of the document or its first item, and what it is

@@ -8,9 +8,10 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from ...errors import FileError
+from ...files.file_access import read_file
 from ...geometry.lenses import Lens, PhotoCamera
 from .camera_notes import CameraNotes, UnusableCameraError
-from .reading import ReadSize, check_rotation, read_file
+from .reading import ReadSize, check_rotation
 
 FORBIDDEN = (b"<!DOCTYPE", b"<!ENTITY")  # entities may expand without limit
 FRAME_TYPES = {"frame": "FULL_OPENCV", "fisheye": "OPENCV_FISHEYE"}

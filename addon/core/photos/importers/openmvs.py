@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FileError
+from ...files.file_access import read_file
 from ...geometry.lenses import Lens, PhotoCamera
 from .camera_notes import UNUSED_MASKS, CameraNotes
-from .reading import BinaryReader, ReadSize, check_rotation, read_file
+from .reading import BinaryReader, ReadSize, check_rotation
 
 SIGNATURE = b"MVSI"
 MAX_VERSION = 7

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FileError
-from ...files.file_access import check_readable, convert_os_errors
+from ...files.file_access import read_file
 from ...geometry.transforms import rotations_of_quaternions
 
 FLIP = np.diag([1.0, -1.0, -1.0])  # from y up and looking along -z, as in OpenGL, to y down and looking along z
@@ -15,13 +15,6 @@ MIN_QUATERNION_LENGTH = 1e-6
 MAX_PRODUCT_ERROR = 1e-3  # between products of the axes of a rotation and those of unit vectors
 
 ReadSize = Callable[[str], tuple[int, int]]  # returns width and height of the photograph with a name
-
-
-def read_file(path: Path) -> bytes:
-    """Return the bytes of a file. Raises FileError if it cannot be read."""
-    check_readable(path)
-    with convert_os_errors(f'Cannot read "{path}"'):
-        return path.read_bytes()
 
 
 def read_text_lines(path: Path) -> list[str]:
