@@ -11,12 +11,13 @@ from ..cameras import read_scene_camera
 from ..geometry.mesh_arrays import read_positions, write_attribute, write_geometry
 from ..geometry.meshes import Source
 from ..imaging.images import packed_bytes
+from ..lod_sets import KIND
 from .atlas_meshes import compute_placement, compute_uvs
 from .cloud_materials import JOINED_ATTRIBUTE, SOLID_ATTRIBUTE, create_gray_material
 from .level_maps import LevelTextures, PbrMaps, compute_corner_normals, create_textured_material
 from .level_objects import CENTER
 
-KIND, CLOUD = "farfield_kind", "cloud"  # Custom property of all objects that Farfield creates, and its value on levels of a cloud.
+CLOUD = "cloud"  # the KIND of levels
 FINGERPRINT = "farfield_source_fingerprint"  # Custom property of a cloud's collection, see `Source.fingerprint`.
 CORNER_NORMALS = "custom_normal"  # Blender's built-in attribute of custom normals.
 DRAWN_OFFSETS, DRAWN = "farfield_drawn_offsets", "farfield_drawn"  # Custom properties of a level's mesh, see `cloud.Quads`.

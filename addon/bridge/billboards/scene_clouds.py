@@ -1,8 +1,6 @@
 """Billboard clouds in a scene, found by their custom properties."""
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import bpy
 import numpy as np
@@ -11,22 +9,24 @@ from ...core.geometry.cameras import Camera, choose_level, distance_to_box
 from ...core.geometry.transforms import transform_points
 from .. import lod_crossfade
 from ..geometry import meshes
+from ..lod_sets import ERROR, NUMBER, LodSet, set_hidden
 from ..objects import temporarily_visible, world_matrix
 from ..rendering import render_properties
-from ..source_links import SourceIndex, find_sources
+from ..source_links import find_sources
 from . import clouds, source_objects
 from .level_objects import pbr_material
 
-LEVEL_NUMBERS = ("farfield_level", "farfield_error", "farfield_quads", "farfield_texels")  # Without them an object is no level.
 
+class SceneCloud(LodSet):
+    """One cloud in a scene: its collection and its level objects, finest first. `errors` are in scene units."""
 
-@dataclass(frozen=True)
-class SceneCloud:
-    """One cloud in a scene: its collection and its level objects, finest first. Do not keep it across redraws."""
+    kind = clouds.CLOUD
+    figures = (NUMBER, ERROR, "farfield_quads", "farfield_texels")
 
-    collection: bpy.types.Collection
-    levels: list[bpy.types.Object]
-    index: SourceIndex = field(default_factory=SourceIndex)
+    @classmethod
+    def is_level(cls, item: bpy.types.Object) -> bool:
+        """Return whether `item` is a level with all its figures, and with an error."""
+        return super().is_level(item) and item[ERROR] > 0.0
 
     @property
     def is_editable(self) -> bool:
@@ -39,21 +39,6 @@ class SceneCloud:
         materials = [material for level in self.levels for material in level.data.materials if material is not None]
         is_local = self.collection.override_library is None and all(level.override_library is None for level in self.levels)
         return self.is_editable and is_local and all(material.is_editable for material in materials)
-
-    @property
-    def errors(self) -> list[float]:
-        """The error of each level in scene units."""
-        return [level["farfield_error"] for level in self.levels]
-
-    @property
-    def source_names(self) -> list[str]:
-        """The names of the objects that the cloud was built from: current ones, and the stored names of those that no longer exist."""
-        return [name if source is None else source.name for name, source in find_sources(self.collection, self.index)]
-
-    @property
-    def sources(self) -> list[bpy.types.Object]:
-        """The objects that the cloud was built from, as far as they still exist, also under other names."""
-        return [source for _, source in find_sources(self.collection, self.index) if source is not None]
 
     @property
     def missing_source_names(self) -> list[str]:
@@ -82,11 +67,6 @@ class SceneCloud:
     def shows_sources(self) -> bool:
         """Whether the cloud is hidden by `show_sources`, or an editable source object is visible in the viewport or in renders."""
         return self.collection.hide_viewport or any(not (source.hide_viewport and source.hide_render) for source in self.editable_sources)
-
-    @property
-    def has_crossfade(self) -> bool:
-        """Whether the levels cross-fade."""
-        return any(lod_crossfade.CROSSFADE in level for level in self.levels)
 
     def texture_bytes(self, level: int) -> int:
         """Return the uncompressed size of the textures of one level."""
@@ -119,7 +99,7 @@ class SceneCloud:
         for index, level in enumerate(self.levels):
             start = errors[index] if proxies or index else lod_crossfade.MIN_PIXEL
             lod_crossfade.add_crossfade(level, start, errors[index + 1], fade_range)
-            _set_hidden(level, False)
+            set_hidden(level, False)
         bounces = render_properties.estimate_transparent_bounces(self.levels, all_visible=True)
         render_properties.ensure_transparent_bounces(context.scene, bounces)
         self._set_collection_hidden(False)
@@ -142,21 +122,21 @@ class SceneCloud:
         if shown_level is None and not self.sources_in(view_layer):
             shown_level = 0  # The sources cannot be shown: the finest level is the best substitute.
         for index, level in enumerate(self.levels):
-            _set_hidden(level, index != shown_level)
+            set_hidden(level, index != shown_level)
         self._set_collection_hidden(False)
         for source in self.editable_sources:
-            _set_hidden(source, shown_level is not None)
+            set_hidden(source, shown_level is not None)
         return shown_level
 
     def hide_sources(self) -> None:
         """Hide the editable source objects."""
         for source in self.editable_sources:
-            _set_hidden(source, True)
+            set_hidden(source, True)
 
     def unhide_sources(self) -> None:
         """Show the editable source objects."""
         for source in self.editable_sources:
-            _set_hidden(source, False)
+            set_hidden(source, False)
 
     def hide_cloud(self) -> None:
         """Hide the collection of the cloud, so that `show_cloud` shows the same level, or the same cross-fade, again."""
@@ -171,7 +151,7 @@ class SceneCloud:
         """Show the cloud, at its finest level if no level was visible, and hide the editable source objects."""
         self._set_collection_hidden(False)
         if all(level.hide_viewport for level in self.levels):
-            _set_hidden(self.levels[0], False)
+            set_hidden(self.levels[0], False)
         self.hide_sources()
 
     def activate_visible(self, context: bpy.types.Context) -> None:
@@ -194,19 +174,7 @@ class SceneCloud:
             self.collection.hide_viewport = self.collection.hide_render = hidden
 
 
-def clouds_in(scene: bpy.types.Scene) -> list[SceneCloud]:
-    """Return all clouds whose collections are in `scene`, at any depth."""
-    index = SourceIndex()
-    scene_clouds = [read_cloud(collection, index) for collection in scene.collection.children_recursive]
-    return [cloud for cloud in scene_clouds if cloud is not None]
-
-
-def find_cloud(scene: bpy.types.Scene, item: bpy.types.Object | None) -> SceneCloud | None:
-    """Return the cloud that has `item` as a level, or the newest one that was built from it."""
-    if item is None:
-        return None
-    matches = [cloud for cloud in clouds_in(scene) if item in cloud.levels or item in cloud.sources]
-    return matches[-1] if matches else None
+clouds_in, find_cloud, read_cloud = SceneCloud.in_scene, SceneCloud.find, SceneCloud.read
 
 
 def clouds_of_levels(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> list[SceneCloud]:
@@ -215,25 +183,6 @@ def clouds_of_levels(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]
     return [cloud for cloud in clouds_in(scene) if not selected.isdisjoint(cloud.levels)]
 
 
-def read_cloud(collection: bpy.types.Collection, index: SourceIndex | None = None) -> SceneCloud | None:
-    """Return the cloud in `collection`, or None if it contains none. Clouds that are read at once share an `index` of source objects."""
-    levels = sorted((item for item in collection.objects if _is_level(item)), key=lambda item: item["farfield_level"])
-    return SceneCloud(collection, levels, index or SourceIndex()) if levels else None
-
-
-def _is_level(item: bpy.types.Object) -> bool:
-    """Return whether `item` is a level with all its figures; custom properties can be deleted or come from elsewhere."""
-    if item.get(clouds.KIND) != clouds.CLOUD or item.type != "MESH":
-        return False
-    numbers = [item.get(name) for name in LEVEL_NUMBERS]
-    return all(isinstance(number, int | float) and math.isfinite(number) for number in numbers) and item["farfield_error"] > 0.0
-
-
 def _activate(item: bpy.types.Object, view_layer: bpy.types.ViewLayer) -> None:
     view_layer.objects.active = item
     item.select_set(True, view_layer=view_layer)
-
-
-def _set_hidden(item: bpy.types.Object, hidden: bool) -> None:
-    item.hide_viewport = hidden
-    item.hide_render = hidden

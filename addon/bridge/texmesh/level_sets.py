@@ -16,15 +16,16 @@ from ...core.geometry.transforms import transform_points
 from .. import lod_crossfade
 from ..geometry.joined_meshes import find_frame
 from ..geometry.mesh_pool import is_local
+from ..lod_sets import ERROR, KIND, NUMBER, LodSet, set_hidden
 from ..objects import world_matrix
 from ..rendering import render_properties
 from ..rendering.render_properties import copy_render_properties
-from ..source_links import SourceIndex, find_sources, store_sources
-from .rebaked_images import KIND, find_rebaked_images, use_rebaked_image
+from ..source_links import store_sources
+from .rebaked_images import find_rebaked_images, use_rebaked_image
 from .temporary_visibility import restore
 
 LEVEL = "texmesh_level"  # the KIND of the objects
-NUMBER, ERROR, TRIANGLES = "farfield_level", "farfield_error", "farfield_triangles"
+TRIANGLES = "farfield_triangles"
 SWITCH_DISTANCE = "farfield_switch_distance"  # in units of the object, for the display that the levels were made for
 FIGURES = "farfield_texmesh_figures"  # Property of the collection: JSON about how the levels were made.
 
@@ -40,28 +41,20 @@ class NewLevel:
     images: Mapping[int, bpy.types.Image] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class LevelSet:
-    """The levels in one collection, finest first. Do not keep it across redraws."""
+class LevelSet(LodSet):
+    """The levels of one object. `errors` are the pixel sizes above which each shows, in units of the objects; 0 for the finest."""
 
-    collection: bpy.types.Collection
-    levels: list[bpy.types.Object]
-    index: SourceIndex = field(default_factory=SourceIndex)
+    kind = LEVEL
 
     @property
     def source(self) -> bpy.types.Object | None:
         """The object that the levels were made from, also under another name; None if it does not exist any more."""
-        return next((item for _, item in find_sources(self.collection, self.index) if item is not None), None)
+        return next(iter(self.sources), None)
 
     @property
     def source_name(self) -> str:
         """The name of the source, or its stored name."""
-        return next((name if item is None else item.name for name, item in find_sources(self.collection, self.index)), "")
-
-    @property
-    def errors(self) -> list[float]:
-        """The pixel size above which each level shows, in units of the objects; 0 for the finest."""
-        return [float(level[ERROR]) for level in self.levels]
+        return next(iter(self.source_names), "")
 
     @property
     def is_editable(self) -> bool:
@@ -73,11 +66,6 @@ class LevelSet:
         source = self.source
         if source is not None and source.is_editable:
             set_hidden(source, hidden)
-
-    @property
-    def has_crossfade(self) -> bool:
-        """Whether the levels cross-fade."""
-        return any(lod_crossfade.CROSSFADE in level for level in self.levels)
 
     def add_crossfade(self, scene: bpy.types.Scene, fade_range: float) -> None:
         """Cross-fade all levels for the active camera, over `fade_range`, a fraction of the switch distance."""
@@ -114,9 +102,7 @@ class LevelSet:
         return corners.min(axis=0), corners.max(axis=0), float(np.linalg.norm(matrix[:3, :3]) / math.sqrt(3.0)) or 1.0
 
 
-def set_hidden(item: bpy.types.Object, hidden: bool) -> None:
-    """Hide an object in viewports and renders, or show it."""
-    item.hide_viewport = item.hide_render = hidden
+level_sets_in, find_level_set, read_level_set = LevelSet.in_scene, LevelSet.find, LevelSet.read
 
 
 def add_level_set(
@@ -146,27 +132,6 @@ def add_level_set(
     return LevelSet(collection, objects)
 
 
-def level_sets_in(scene: bpy.types.Scene) -> list[LevelSet]:
-    """Return all level sets whose collections are in `scene`, at any depth."""
-    index = SourceIndex()
-    found = (read_level_set(collection, index) for collection in scene.collection.children_recursive)
-    return [levels for levels in found if levels is not None]
-
-
-def find_level_set(scene: bpy.types.Scene, item: bpy.types.Object | None) -> LevelSet | None:
-    """Return the level set that contains `item`, or the newest one that was made from it."""
-    if item is None:
-        return None
-    matches = [levels for levels in level_sets_in(scene) if item in levels.levels or item == levels.source]
-    return matches[-1] if matches else None
-
-
-def read_level_set(collection: bpy.types.Collection, index: SourceIndex | None = None) -> LevelSet | None:
-    """Return the levels in `collection`, or None if there are none. Those that are read at once share an `index` of source objects."""
-    levels = sorted((item for item in collection.objects if _is_level(item)), key=lambda item: item[NUMBER])
-    return LevelSet(collection, levels, index or SourceIndex()) if levels else None
-
-
 def remove_level_set(levels: LevelSet) -> None:
     """Remove the objects, meshes, materials and rebaked images of levels that nothing else uses, and their collection if it is empty
     then."""
@@ -180,14 +145,6 @@ def remove_level_set(levels: LevelSet) -> None:
     bpy.data.batch_remove([image for image in images if image.users == 0])
     if not levels.collection.objects and not levels.collection.children:
         bpy.data.collections.remove(levels.collection)
-
-
-def _is_level(item: bpy.types.Object) -> bool:
-    """Return whether `item` is a level with all its figures; custom properties can be deleted or come from elsewhere."""
-    if item.get(KIND) != LEVEL or item.type != "MESH":
-        return False
-    numbers = [item.get(name) for name in (NUMBER, ERROR)]
-    return all(isinstance(number, int | float) and math.isfinite(number) and number >= 0.0 for number in numbers)
 
 
 def _parent_collection(source: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Collection:

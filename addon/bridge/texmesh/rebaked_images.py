@@ -11,12 +11,13 @@ from ...core.imaging.images import unpremultiply
 from ..geometry.meshes import find_material
 from ..imaging.color_spaces import SRGB, find_scene_linear_space, read_linear_pixels
 from ..imaging.images import INDEPENDENT_ALPHA, lossless_alpha_mode
+from ..lod_sets import KIND
 from ..shading.socket_sources import ScopedSocket
 from ..shading.texture_uses import read_texture_use
 from .color_images import MAX_SIDE, find_color_image, scaled_copy
 from .sources import TexturedSource
 
-KIND, TEXTURE = "farfield_kind", "texmesh_texture"
+TEXTURE = "texmesh_texture"  # the KIND of the images
 
 
 @dataclass(frozen=True)
