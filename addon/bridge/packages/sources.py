@@ -54,10 +54,8 @@ def read_package_source(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) 
     found = [None if key is None else find_material(key) for key in source.evaluated.materials or (None,)]
     surfaces = [None if material is None else read_surface(material) for material in found]
     materials = tuple(read_material(material, images) for material in found)
-    unread = {
-        material.name: _list_unread(surface, source) for material, surface in zip(found, surfaces, strict=True) if material is not None
-    }
-    remarks = [*source.remarks, *describe_unread({name: labels for name, labels in unread.items() if labels}, "The package")]
+    unread = {item.name: _list_unread(surface, source) for item, surface in zip(found, surfaces, strict=True) if item is not None}
+    remarks = [*source.remarks, *describe_unread(unread, "The package")]
     mesh = _to_world(_place_uvs(source.mesh, surfaces), item)
     return PackageSource(source.name, mesh, materials, source.textures or (None,), tuple(remarks))
 
@@ -67,7 +65,7 @@ def _place_uvs(mesh: TexturedMesh, surfaces: Sequence[MaterialSurface | None]) -
     uvs = mesh.uvs.copy()
     for number, surface in enumerate(surfaces):
         use = None if surface is None else choose_textures(surface)[0]
-        if use is not None and not np.array_equal(use.matrix, np.eye(2, 3)):
+        if use is not None and use.is_moved:
             wedges = np.unique(mesh.wedge_triangles[mesh.materials == number])
             uvs[wedges] = mesh.uvs[wedges] @ use.matrix[:, :2].T + use.matrix[:, 2]
     return replace(mesh, uvs=uvs)
@@ -76,9 +74,7 @@ def _place_uvs(mesh: TexturedMesh, surfaces: Sequence[MaterialSurface | None]) -
 def _list_unread(surface: MaterialSurface, source: TexturedSource) -> tuple[str, ...]:
     """Return labels of what the package lacks of a material."""
     color, _, unread = choose_textures(surface)
-    leaves = (
-        source.mesh.uvs.min() < 0.0 or source.mesh.uvs.max() > 1.0 or (color is not None and not np.array_equal(color.matrix, np.eye(2, 3)))
-    )
+    leaves = source.mesh.uvs.min() < 0.0 or source.mesh.uvs.max() > 1.0 or (color is not None and color.is_moved)
     labels = [label for label in unread if label not in STORED_INPUTS]
     labels += [] if surface.is_opaque else ["transparency"]
     labels += ["vertex colors"] if surface.color.attributes else []

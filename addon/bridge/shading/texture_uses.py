@@ -36,6 +36,11 @@ class TextureUse:
     is_nearest: bool
     unread: tuple[str, ...]
 
+    @property
+    def is_moved(self) -> bool:
+        """Whether the image lies elsewhere than the UV map says."""
+        return not np.array_equal(self.matrix, np.eye(2, 3))
+
     def is_placed_like(self, other: "TextureUse") -> bool:
         """Return whether both images cover a surface in the same way."""
         return (self.uv_map, self.wrap) == (other.uv_map, other.wrap) and np.allclose(self.matrix, other.matrix, atol=1e-6)

@@ -155,7 +155,7 @@ def describe_unread(unread: dict[str, tuple[str, ...]], place: str) -> list[str]
     by_content: dict[tuple[str, ...], list[str]] = {}
     for name, labels in unread.items():
         by_content.setdefault(labels, []).append(name)
-    return [f"{place} lacks {', '.join(labels)} of {quote_names(names)}." for labels, names in by_content.items()]
+    return [f"{place} lacks {', '.join(labels)} of {quote_names(names)}." for labels, names in by_content.items() if labels]
 
 
 def _image_key(use: TextureUse | None) -> Key:

@@ -103,7 +103,7 @@ def _describe_refusal(material: bpy.types.Material, image: bpy.types.Image, leav
 def _is_placed_by_uvs(node: bpy.types.Node) -> bool:
     """Return whether an image node shows its image where a UV map says, and nowhere else."""
     use = read_texture_use(ScopedSocket(node.outputs["Color"]))
-    return not use.unread and np.array_equal(use.matrix, np.eye(2, 3))
+    return not use.unread and not use.is_moved
 
 
 def _nodes_with(material: bpy.types.Material, image: bpy.types.Image | None) -> Iterator[bpy.types.Node]:

@@ -71,19 +71,15 @@ WKT_VERTICAL = re.compile(r"\bVERT(?:_?CS|CRS)\s*\[", re.IGNORECASE)
 GEOGRAPHIC_WKT, PROJECTED_WKT = ("GEOGCS", "GEOGCRS", "GEODCRS"), ("PROJCS", "PROJCRS", "COMPD_CS", "COMPOUNDCRS", "BOUNDCRS")
 
 
-def is_in_ranges(code: int, ranges: str) -> bool:
-    """Return whether one of the ranges contains a code."""
-    for text in ranges.split():
-        limits, _, step = text.partition("/")
-        first, _, last = limits.partition("-")
-        if int(first) <= code <= int(last or first) and (code - int(first)) % int(step or 1) == 0:
-            return True
-    return False
-
-
 def unit_of_code(code: int) -> float:
     """Return the meters per unit of a projected system by its EPSG code."""
-    return next((unit for unit, ranges in UNIT_CODES.items() if is_in_ranges(code, ranges)), 1.0)
+    return next((unit for unit, ranges in UNIT_CODES.items() if any(code in _parse_range(text) for text in ranges.split())), 1.0)
+
+
+def _parse_range(text: str) -> range:
+    limits, _, step = text.partition("/")
+    first, _, last = limits.partition("-")
+    return range(int(first), int(last or first) + 1, int(step or 1))
 
 
 def unit_of_name(name: str) -> float | None:
