@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ...core.errors import FileError
+from ...core.files.complete_files import PNG_SIGNATURE
 from ...core.files.file_access import check_readable, convert_os_errors
 from ...core.files.height_maps import check_size
 from ...core.files.tiffs import read_layer_count
@@ -20,7 +21,6 @@ from .image_specs import build_spec, target_storage
 from .image_storage import ImageFile, Storage, from_pixels, to_pixels
 
 EXTENSIONS = {".png": "png", ".tif": "tiff", ".tiff": "tiff", ".jpg": "jpeg", ".jpeg": "jpeg", ".exr": "openexr"}  # and formats
-PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 MAX_PNG_CHUNKS = 10_000  # in front of the pixels
 SIGNATURES = {
     PNG_SIGNATURE: "png", b"II*\0": "tiff", b"MM\0*": "tiff", b"II+\0": "tiff", b"MM\0+": "tiff", b"\xff\xd8\xff": "jpeg",

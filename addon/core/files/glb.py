@@ -16,6 +16,7 @@ import numpy as np
 
 from ..errors import FileError, GeometryError
 from .atomic_write import atomic_write
+from .complete_files import PNG_SIGNATURE
 from .glb_materials import TEXTURE_TRANSFORM, UNIT_RANGE, UNLIT, GlbMaterial, UvRange, encode_materials
 
 MAGIC, VERSION = b"glTF", 2
@@ -30,7 +31,7 @@ SCREEN_COVERAGE = "MSFT_screencoverage"
 Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # from Blender's axes, z upwards, to those of glTF
 GENERATOR = "Farfield"
 MAX_ASSET_BYTES = 256  # The document begins with the name of the program that wrote it.
-IMAGE_TYPES = {b"\x89PNG\r\n\x1a\n": "image/png", b"\xff\xd8\xff": "image/jpeg"}  # first bytes of the content
+IMAGE_TYPES = {PNG_SIGNATURE: "image/png", b"\xff\xd8\xff": "image/jpeg"}  # first bytes of the content
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,8 @@ import math
 import re
 from dataclasses import dataclass
 
+from .map_projections import SEMI_MAJOR_AXIS
+
 FOOT, SURVEY_FOOT = 0.3048, 1200.0 / 3937.0  # meters
 
 # Ranges of codes "first-last", "first-last/step" for every step-th code. Ranges may contain codes that no system has.
@@ -50,7 +52,6 @@ DEGREES_PER_GRAD = 0.9
 MERCATOR_CODES = frozenset({"EPSG:3395", "EPSG:3785", "EPSG:3857"})  # their scale is 1 at the equator only
 WEB_MERCATOR = "EPSG:3857"
 WEB_MERCATOR_NAME = re.compile(r"pseudo.mercator|web.mercator|popular.visuali[sz]ation|mercator.auxiliary.sphere", re.IGNORECASE)
-EARTH_RADIUS = 6_378_137.0  # meters, of the sphere of Web Mercator
 VERTICAL_CODES = {  # meters per unit of heights that are not in meters
     **dict.fromkeys((5702, 6358, 6359, 6360, 8052, 8053), SURVEY_FOOT),
     **dict.fromkeys((5614, 6130, 6131, 6132, 8050, 8051, 8228, 8897), FOOT),
@@ -97,7 +98,7 @@ def seem_degrees(first: tuple[float, float], step: tuple[float, float]) -> bool:
 
 def mercator_scale(code: str | None, y: float) -> float:
     """Return true meters per meter of the map at the northing `y`: less than 1 for Mercator projections, 1 for all others."""
-    return 1.0 / math.cosh(min(abs(y) / EARTH_RADIUS, 20.0)) if code in MERCATOR_CODES else 1.0
+    return 1.0 / math.cosh(min(abs(y) / SEMI_MAJOR_AXIS, 20.0)) if code in MERCATOR_CODES else 1.0
 
 
 @dataclass(frozen=True)

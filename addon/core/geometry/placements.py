@@ -15,7 +15,7 @@ MAX_LONGITUDES = 60.0  # degrees from west to east; the projection stretches wha
 POLE = 90.0 + 1e-6  # degrees of latitude, and what rounding adds
 ORIGIN_DECIMALS = 6  # An origin in degrees is rounded to about 0.1 m, so that reports show it completely.
 MIN_COSINE = 1e-6  # replaces the cosine of latitudes at the poles, where meridians meet
-METERS_PER_DEGREE = 111_320.0  # along the equator; only for the nominal cell size
+METERS_PER_DEGREE = 111_320.0  # along the equator, and about that along a meridian; only for the size of cells
 
 
 @dataclass(frozen=True)

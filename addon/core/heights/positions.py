@@ -6,11 +6,10 @@ from pathlib import Path
 
 from ..files.geotiff import GEOGRAPHIC, PROJECTED, GeoReference, add_metadata
 from ..geometry.coordinate_systems import WEB_MERCATOR, mercator_scale, seem_degrees
-from ..geometry.placements import Placement, place_map
+from ..geometry.placements import METERS_PER_DEGREE, Placement, place_map
 from .auxiliary_files import find_world_file, read_auxiliary, read_projection, read_world_file
 
 MIN_STRETCH = 0.001  # Less stretch of a projection is not worth a warning.
-METERS_PER_DEGREE = 111_320.0  # along the equator, and about that along a meridian
 MAX_LATITUDE = 89.9  # degrees; closer to a pole, a degree of longitude has almost no length
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..errors import FileError
 from ..files.array_files import map_array, read_raw_window
+from ..files.complete_files import PNG_SIGNATURE
 from ..files.file_access import convert_os_errors
 from ..files.geotiff import GeoReference
 from ..files.height_maps import check_numeric, check_size
@@ -23,7 +24,7 @@ HGT_SHAPES = {  # rows and columns by bytes of the file: 3", 1", 1" with 2" alon
 }
 FLOAT_IMAGES = (".exr", ".hdr")
 IMAGE_EXTENSIONS = (".png", *FLOAT_IMAGES, ".jpg", ".jpeg", ".webp", ".bmp")
-PNG_SIGNATURE, PNG_DEPTH, PNG_COLOR_TYPE, PNG_PALETTE = b"\x89PNG\r\n\x1a\n", 24, 25, 3  # bytes of the header and their value
+PNG_DEPTH, PNG_COLOR_TYPE, PNG_PALETTE = 24, 25, 3  # bytes of the header, and the value of a palette
 
 
 def open_source(path: Path, context: SourceContext) -> HeightSource:

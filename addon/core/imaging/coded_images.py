@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, BinaryIO, Literal, get_args
 import numpy as np
 
 from ..errors import ImageError
+from ..files.complete_files import PNG_SIGNATURE
 
 if TYPE_CHECKING:
     from PIL.ImageFile import ImageFile
@@ -159,7 +160,7 @@ def _find_plugin(start: bytes) -> "type[ImageFile] | None":
 
     if start.startswith(b"\xff\xd8\xff"):
         return JpegImagePlugin.JpegImageFile
-    if start.startswith(b"\x89PNG\r\n\x1a\n"):
+    if start.startswith(PNG_SIGNATURE):
         return PngImagePlugin.PngImageFile
     return WebPImagePlugin.WebPImageFile if start.startswith(b"RIFF") and start[8:] == b"WEBP" else None
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import FileError
-from ...geometry.lenses import Lens, PhotoCamera
+from ...geometry.lenses import MODELS, Lens, PhotoCamera
 from .camera_notes import CameraNotes, UnusableCameraError
 from .reading import check_rotation
 
@@ -21,7 +21,6 @@ LENSES = {  # model of the distortion to that of the lens, and the places of its
 }
 PROJECTIONS = {"pinhole", "radial1", "radial3", "brown", "fisheye1", "fisheye4"}  # types of intrinsics; in old files those of distortions
 OLD_TYPES = {"pinhole": "none", "radial1": "radialk1", "radial3": "radialk3"}  # other names are the same in old files
-COEFFICIENT_COUNTS = {"PINHOLE": 0, "FULL_OPENCV": 8, "OPENCV_FISHEYE": 4, "FOV": 1}
 MAX_RATIO_ERROR = 1e-6
 
 
@@ -63,7 +62,7 @@ def _build_lens(intrinsic: dict[str, Any], version: tuple[int, ...]) -> Lens:
         if unknown:
             raise UnusableCameraError(f'its lens is of the type "{unknown}"')
     model, places = LENSES[kind]
-    coefficients = np.zeros(COEFFICIENT_COUNTS[model])
+    coefficients = np.zeros(MODELS[model].coefficient_count)
     parameters = [float(value) for value in intrinsic.get("distortionParams") or ()]
     if len(parameters) > len(places) and any(parameters[len(places) :]):
         raise ValueError("more parameters than the model has")
