@@ -80,6 +80,8 @@ def build(given: Namespace, line: command_line.ProgressLine) -> str:
         objects, moved = open_objects(given)
         job = prepare_packages(bpy.context, objects, settings, package_settings, out)
         job.skipped.extend(scene_files.describe_missing())
+        for folder in job.folders:
+            check_package_folder(folder)
     with clock.stage("build"):
         summary = run_to_end(run_job(job), line.show)
     line.clear()

@@ -120,6 +120,11 @@ def test_script_builds_and_verifies(folder):
         run("build", scene, "--out", scene)
     with pytest.raises(SettingsError, match="multiple of 16"):
         run("build", scene, "--out", folder, *FLAGS, "--tile-size", "100")
+    site = folder.parent / "site"
+    site.mkdir()
+    (site / "index.html").write_text("My page", encoding="utf-8")
+    with pytest.raises(FileError, match="but no package"):
+        run("build", scene, "--out", site, *FLAGS)
 
 
 @pytest.mark.parametrize("name", [MESH, TEXTURES])

@@ -97,7 +97,9 @@ class FARFIELD_OT_packages_export(start_job.StartJob, bpy.types.Operator):
         folder = self.folder or panel.folder
         if not folder:
             raise SettingsError("A package needs a folder; set Folder.", ("folder",))
-        return prepare_packages(context, source_objects(context), settings, package_settings, absolute_path(folder))
+        job = prepare_packages(context, source_objects(context), settings, package_settings, absolute_path(folder))
+        check_scene_outputs([Output("the folder of a package", path, check_package_folder, is_folder=True) for path in job.folders])
+        return job
 
 
 def prepare_packages(
@@ -107,16 +109,12 @@ def prepare_packages(
     package_settings: PackageSettings,
     folder: Path,
 ) -> PackageJob:
-    """Return the job that writes packages of `objects` into `folder`, several into a folder for each.
-
-    Raises:
-        FarfieldError: no object can be read, or a package would replace something else.
-    """
+    """Return the job that writes packages of `objects` into `folder`, several into a folder for each. Raises FarfieldError if none can be
+    read."""
     sources, skipped = read_sources(context, objects, read_package_source)
     check_sizes(sources)
     names = unique_filenames([source.name for source in sources])
     folders = [folder / name for name in names] if len(names) > 1 else [folder]
-    check_scene_outputs([Output("the folder of a package", path, check_package_folder, is_folder=True) for path in folders])
     return PackageJob(sources, replace(settings, **FIXED_LEVEL_SETTINGS), package_settings, folders, skipped)
 
 
