@@ -53,7 +53,8 @@ class TestMerge:
             kept = [each.keep_in(scratch, index) for index, each in enumerate(photographs)]
             assert all(isinstance(each.pixels, np.memmap) for each in kept)
             found = run_to_end(merge(mesh, uvs, kept, settings, scratch))
-        for name in ("colors", "confidence", "source", "holes", "gains", "labels"):
+        assert [each.gain.tolist() for each in found.color_corrections] == [each.gain.tolist() for each in expected.color_corrections]
+        for name in ("colors", "confidence", "source", "holes", "labels"):
             assert np.array_equal(getattr(found, name), getattr(expected, name)), name
 
     def test_confidence_is_the_resolution_of_the_photographs(self):
