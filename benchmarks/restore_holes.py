@@ -36,7 +36,7 @@ def strokes(random: Generator, shape: tuple[int, int]) -> np.ndarray:
 
 def rectangles_and_text(random: Generator, shape: tuple[int, int]) -> np.ndarray:
     """Return a mask with six small rectangles and a line of letters."""
-    from farfield.addon.bridge.overlays.text_raster import rasterize_text
+    from farfield.addon.bridge.overlays.line_chart import rasterize_text
 
     mask = np.zeros(shape, bool)
     letters = rasterize_text("".join(random.permutation(list("FARFIELD"))), shape[0] // 6)[::-1] > 0.5

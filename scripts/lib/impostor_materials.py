@@ -37,7 +37,7 @@ MIN_RAY_DISTANCE = -16.0  # in half sides along a ray: nearer than anything that
 
 def quad_material(name: str, ray_groups: Mapping[str, bpy.types.NodeTree], half_side: float) -> bpy.types.Material:
     """Create the material for camera rays. It is visible on the quad whose normal is nearest to the visible normal."""
-    material, builder = _new_material(name)
+    material, builder = create_two_sided_material(name)
     for renderer, ray_group in ray_groups.items():
         ray = sample_ray(builder, ray_group, _ray_hit(builder, half_side), _direction_to_origin(builder), MIN_RAY_DISTANCE)
         alpha = builder.math("MULTIPLY", ray.alpha, _is_best_quad(builder, ray.normal))
@@ -63,7 +63,7 @@ def shell_material(name: str, ray_groups: Mapping[str, bpy.types.NodeTree], half
     EEVEE's light rays never start on a quad, so it has a simpler graph of its own. bias: in half sides; a surface that is closer in front
     of a point does not shade it.
     """
-    material, builder = _new_material(name)
+    material, builder = create_two_sided_material(name)
     light_path = builder.node("ShaderNodeLightPath")
     is_leaving = builder.node("ShaderNodeNewGeometry").outputs["Backfacing"]
     backward = _direction_to_origin(builder)
@@ -87,11 +87,6 @@ def shell_material(name: str, ray_groups: Mapping[str, bpy.types.NodeTree], half
     ray = sample_ray(builder, ray_groups["CYCLES"], start, builder.mix(is_seen_from_outside, forward, backward), min_distance)
     _add_principled_output(builder, ray, builder.math("MULTIPLY", ray.alpha, is_leaving), "CYCLES")
     return material
-
-
-def _new_material(name: str) -> tuple[bpy.types.Material, NodeBuilder]:
-    material = create_two_sided_material(name)
-    return material, NodeBuilder(material.node_tree)
 
 
 def _ray_hit(builder: NodeBuilder, half_side: float) -> bpy.types.NodeSocket:

@@ -36,6 +36,7 @@ class Tiles(TerrainRoot):
     """A terrain of tiles at the height of the viewer."""
 
     tool: ClassVar[str] = "tiles"
+    settings_type = Settings
 
     def heights(self):
         return sorted(child.data.vertices[0].co.z for child in self.root.children)
@@ -110,10 +111,10 @@ class TileTool:
         return self.terrain_type.in_scene(scene)
 
     def create_engine(self, terrain):
-        return TileEngine(terrain.read_settings(Settings))
+        return TileEngine(terrain.settings)
 
     def is_engine_of(self, engine, terrain):
-        return engine.settings == terrain.read_settings(Settings)
+        return engine.settings == terrain.settings
 
     def to_terrain(self, terrain, viewer):
         return terrain.to_terrain_space(viewer)
