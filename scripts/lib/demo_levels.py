@@ -12,6 +12,7 @@ environment.import_farfield()
 
 from farfield.addon.bridge.geometry.mesh_arrays import write_attribute, write_triangles
 from farfield.addon.bridge.imaging.images import create_image
+from farfield.addon.compat import enable_nodes
 from farfield.addon.core.imaging.colors import encode_signed_srgb
 from farfield.addon.core.imaging.mipmaps import build_mipmaps, resize_by_area
 from farfield.addon.core.jobs.progress import Progress, StageClock, Steps, subprogress
@@ -130,7 +131,7 @@ def create_painted_material() -> bpy.types.Material:
     colors = stripes[..., None] * [0.85, 0.62, 0.35] + (1.0 - stripes[..., None]) * [0.25, 0.35, 0.55]
     pixels = np.concatenate([np.where(dots, [0.75, 0.2, 0.15], colors), np.ones_like(dots)], axis=2)
     material = bpy.data.materials.new("Painted")
-    material.use_nodes = True
+    enable_nodes(material)
     node = material.node_tree.nodes.new("ShaderNodeTexImage")
     node.image = create_image("Painted", pixels, is_data=False)
     material.node_tree.links.new(node.outputs["Color"], material.node_tree.nodes["Principled BSDF"].inputs["Base Color"])
