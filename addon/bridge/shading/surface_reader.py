@@ -13,14 +13,8 @@ from .socket_sources import ScopedSocket, find_source
 
 COLOR_INPUTS = ("Base Color", "Color", "Emission Color")  # the first one that is linked counts
 TRANSPARENT = {"BSDF_TRANSPARENT", "HOLDOUT"}
-WEIGHTS = (
-    "Metallic",
-    "Subsurface Weight",
-    "Transmission Weight",
-    "Coat Weight",
-    "Sheen Weight",
-    "Thin Film Thickness",
-)  # Inputs of a Principled BSDF.
+# Inputs of a Principled BSDF.
+WEIGHTS = ("Metallic", "Subsurface Weight", "Transmission Weight", "Coat Weight", "Sheen Weight", "Thin Film Thickness")
 MAX_SHADERS = 64  # mixed with each other
 WHITE = ColorProduct()
 
