@@ -11,7 +11,7 @@ from ...core.errors import FileError
 from ..imaging.color_spaces import read_linear_pixels
 from ..imaging.images import find_path
 from ..shading.socket_sources import ScopedSocket, find_source
-from ..shading.surface_reader import COLOR_INPUTS, find_output, list_color_inputs
+from ..shading.surface_reader import find_output, list_color_inputs
 from ..shading.texture_uses import read_texture_use
 
 MAX_SIDE = 4096  # pixels; larger images are halved until they fit

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from ..errors import FileError, GeometryError
-from .atomic_write import atomic_write
 from .complete_files import PNG_SIGNATURE
 from .glb_materials import TEXTURE_TRANSFORM, UNIT_RANGE, UNLIT, GlbMaterial, UvRange, encode_materials
 
