@@ -96,4 +96,7 @@ def main() -> int:
 
 if __name__ == "__main__":
     with use_bytecode_folder():
-        sys.exit(main())
+        exit_code = main()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(exit_code)  # Blender 4.5 as a Python module may hang at exit.
