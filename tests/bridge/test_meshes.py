@@ -1,5 +1,7 @@
 """Sources read from Blender equal the visible surfaces, in world space."""
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ pytest.importorskip("bpy")
 import bpy
 
 from bridge import blender_scenes
-from farfield.addon.bridge.geometry.meshes import concatenate_in_world_space, read_point_cloud, read_source
+from farfield.addon.bridge.geometry.meshes import concatenate_in_world_space, read_instances, read_point_cloud, read_source
 from farfield.addon.core.errors import GeometryError
 from farfield.addon.core.geometry.mesh import face_areas_and_normals
 
@@ -33,6 +35,17 @@ def test_scaled_and_mirrored_objects_keep_their_orientation(scale):
     source = blender_scenes.read_objects(box)
     assert signed_volume(source.mesh) == pytest.approx(8.0 * abs(np.prod(scale)), rel=1e-3)
     assert source.origin == pytest.approx(np.array(box.location), rel=1e-6)
+
+
+@pytest.mark.parametrize("coordinate", [3e38, np.inf, np.nan])
+def test_coordinates_that_no_tool_can_use_are_read_without_warnings(coordinate):
+    box = blender_scenes.box()
+    box.data.texspace_location, box.data.texspace_size = (-3e38,) * 3, (1e-3,) * 3
+    box.data.vertices[0].co.x = coordinate
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        (instance,) = read_instances([box], bpy.context.evaluated_depsgraph_get())
+    assert len(instance.mesh.vertices) == 8
 
 
 def test_instances_have_consecutive_triangles():

@@ -105,7 +105,7 @@ def _material_key(material: bpy.types.Material) -> MaterialKey:
     return material.name, None if material.library is None else material.library.filepath
 
 
-@np.errstate(invalid="ignore")  # infinite coordinates pass: a later check reports them
+@np.errstate(over="ignore", invalid="ignore")  # infinite coordinates pass: a later check reports them
 def _generated_coordinates(mesh: bpy.types.Mesh, instance: bpy.types.Object, vertices: np.ndarray) -> np.ndarray:
     """Return the Generated coordinates (V, 3): undeformed positions where modifiers kept the vertices, in 0..1 of the texture space."""
     original = instance.original.data

@@ -69,7 +69,7 @@ def join_instances(instances: Sequence[SourceInstance], to_object: np.ndarray) -
         turned = [array[:, ::-1] if flips and array.ndim == 2 else array for array, flips in zip(arrays, is_mirrored, strict=True)]
         return np.concatenate([array + start for array, start in zip(turned, starts[:-1, column].tolist(), strict=True)]).astype(np.int32)
 
-    with np.errstate(invalid="ignore"):  # A later check reports coordinates that are not finite.
+    with np.errstate(over="ignore", invalid="ignore"):  # A later check reports coordinates that are not finite.
         vertices = [transform_points(matrix, mesh.vertices) for matrix, mesh in zip(matrices, parts, strict=True)]
         normals = [_transform_normals(matrix, mesh.normals) for matrix, mesh in zip(matrices, parts, strict=True)]
     return EvaluatedMesh(

@@ -147,7 +147,7 @@ def read_point_cloud(point_object: bpy.types.Object) -> Source:
         mesh, matrix = read_evaluated_mesh(data, evaluated), np.array(evaluated.matrix_world, np.float64)
     finally:
         evaluated.to_mesh_clear()
-    with np.errstate(invalid="ignore"):  # the check reports coordinates that are not finite
+    with np.errstate(over="ignore", invalid="ignore"):  # the check reports coordinates that are not finite
         points = transform_points(matrix, mesh.vertices)
     check_points(points, point_object.name)
     cloud = PointCloud(points, _point_normals(mesh, matrix, points), _point_radii(mesh, matrix, points), _point_colors(mesh))
@@ -202,7 +202,7 @@ def visible_meshes(
             yield owner, instance
 
 
-@np.errstate(invalid="ignore")  # infinite coordinates pass: a later check reports them
+@np.errstate(over="ignore", invalid="ignore")  # infinite coordinates pass: a later check reports them
 def concatenate_in_world_space(instances: list[SourceInstance]) -> TriangleMesh:
     """Return one soup of all `instances`; material indices refer to the distinct materials in order of first use, -1 for none.
 
@@ -302,7 +302,7 @@ def _build_discs(cloud: PointCloud, materials: tuple[MaterialKey | None, ...]) -
     angles = np.arange(DISC_CORNERS) * 2.0 * np.pi / DISC_CORNERS
     radii = cloud.radii * np.sqrt(np.pi / (0.5 * DISC_CORNERS * np.sin(2.0 * np.pi / DISC_CORNERS)))
     ring = np.cos(angles)[None, :, None] * u[:, None] + np.sin(angles)[None, :, None] * v[:, None]
-    with np.errstate(invalid="ignore"):  # points whose radius is not finite are left out later
+    with np.errstate(over="ignore", invalid="ignore"):  # points whose radius is not finite are left out later
         vertices = (cloud.points[:, None] + radii[:, None, None] * ring).reshape(-1, 3).astype(np.float32)
     fan = np.array([[0, corner, corner + 1] for corner in range(1, DISC_CORNERS - 1)])
     triangles = (fan[None] + DISC_CORNERS * np.arange(len(cloud.points))[:, None, None]).reshape(-1, 3).astype(np.int32)

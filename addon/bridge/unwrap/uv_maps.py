@@ -66,7 +66,7 @@ def read_uv_target(item: bpy.types.Object, vertex_group: str | None) -> UvTarget
     if not is_selected.any():
         raise GeometryError(f'"{item.name}" has no {"selected " if is_editing else ""}faces to unwrap; select some.')
     matrix = np.array(item.matrix_world, np.float64)
-    with np.errstate(invalid="ignore"):  # A later check reports coordinates that are not finite.
+    with np.errstate(over="ignore", invalid="ignore"):  # A later check reports coordinates that are not finite.
         positions = transform_points(matrix, read_positions(mesh))
         is_mirrored = is_mirroring(matrix)
     return UvTarget(

@@ -28,7 +28,7 @@ def rotations_of_quaternions(quaternions: np.ndarray) -> np.ndarray:
 
 def is_mirroring(matrix: np.ndarray) -> np.ndarray:
     """Return whether affine matrices (..., 4, 4) or (..., 3, 3) exchange the front and the back of faces; not if they are not finite."""
-    with np.errstate(invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         return np.linalg.det(np.asarray(matrix, np.float64)[..., :3, :3]) < 0.0
 
 
