@@ -117,8 +117,11 @@ def damaged_folder(random: Random, sample: Path, folder: Path) -> Path:
 
 
 def change_json(random: Random, path: Path) -> None:
-    """Give a random value in a JSON file another type or size."""
-    document = json.loads(path.read_bytes())
+    """Give a random value in a JSON file another type or size, unless it is damaged already."""
+    try:
+        document = json.loads(path.read_bytes())
+    except ValueError:
+        return
     place, parent = document, None
     while isinstance(place, dict | list) and place and (parent is None or random.random() < 0.8):
         parent, key = place, random.choice(list(place) if isinstance(place, dict) else range(len(place)))

@@ -63,6 +63,14 @@ def coded(small_images) -> CodedTexture:
     return run_to_end(code_texture(source, grid, visibility, SETTINGS.quality, DENSITY))
 
 
+def test_texture_coordinates_without_area_are_seen_at_the_smallest_footprint():
+    source = make_source()
+    mesh = replace(source.mesh, uvs=np.full_like(source.mesh.uvs, 0.5))
+    with np.errstate(all="raise"):
+        visibility = run_to_end(measure_visibility([replace(source, mesh=mesh)], [check_source(source, SETTINGS.tile_size)], 2, 64))[0]
+    assert visibility[..., 0].sum() == pytest.approx(1.0) and not visibility[..., 1:].any()
+
+
 def test_every_increment_is_a_tile_by_itself(built):
     for index, part in enumerate(built.increments.split(built.content)):
         texture = built.textures[built.increments.textures[index]]

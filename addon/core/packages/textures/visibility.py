@@ -93,7 +93,8 @@ class _Surface(NamedTuple):
 
 def _round_footprints(footprints: np.ndarray) -> np.ndarray:
     """Return the levels (T,) that `footprints` (T,) are rounded to."""
-    return np.clip(np.rint((np.log2(footprints) - MIN_LOG_FOOTPRINT) / FOOTPRINT_STEP), 0, FOOTPRINT_LEVELS - 1).astype(np.int64)
+    logarithms = np.log2(np.clip(footprints, 2.0**MIN_LOG_FOOTPRINT, 2.0**MAX_LOG_FOOTPRINT))
+    return np.rint((logarithms - MIN_LOG_FOOTPRINT) / FOOTPRINT_STEP).astype(np.int64)
 
 
 def _count(counts: np.ndarray, uvs: np.ndarray, levels: np.ndarray, grid: TileGrid) -> None:
