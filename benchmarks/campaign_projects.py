@@ -108,7 +108,8 @@ def damaged_folder(random: Random, sample: Path, folder: Path) -> Path:
         elif choice < 0.5:
             path.unlink()
         elif choice < 0.6:
-            path.write_bytes(random.choice(paths).read_bytes() if random.choice(paths).exists() else b"")
+            other = random.choice(paths)
+            path.write_bytes(other.read_bytes() if other.exists() else b"")
         elif path.suffix == ".json":
             change_json(random, path)
         else:

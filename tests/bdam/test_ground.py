@@ -285,9 +285,10 @@ def test_bad_input_is_explained(folder, tmp_path):
         bpy.ops.farfield.bdam_drop()
     with pytest.raises(RuntimeError, match="Nothing else than the terrain is selected"):
         drop(terrain.root)
-    terrain.root.scale = (1.0, 1.0, 0.0)
-    with pytest.raises(RuntimeError, match="scale of zero"):
-        drop(item)
+    for scale in (0.0, np.inf, np.nan):
+        terrain.root.scale = (1.0, 1.0, scale)
+        with pytest.raises(RuntimeError, match="scale of zero, or a transform that is not finite"):
+            drop(item)
     terrain.root.scale = (1.0, 1.0, 1.0)
     terrain.root[STORE_KEY] = str(tmp_path / "missing")
     with pytest.raises(RuntimeError, match="missing"):

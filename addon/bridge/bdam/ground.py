@@ -9,7 +9,7 @@ import bpy
 import mathutils
 import numpy as np
 
-from ...core.geometry.transforms import inverse_transform_points, transform_points
+from ...core.geometry.transforms import inverse_transform_points, is_invertible, transform_points
 from ..geometry.mesh_arrays import read_attribute
 from ..geometry.mesh_pool import is_local
 from .objects import SceneTerrain
@@ -34,11 +34,6 @@ class TerrainSpace:
         return cls(np.array(terrain.root.matrix_world, np.float64), terrain.origin)
 
     @property
-    def is_singular(self) -> bool:
-        """Whether an axis of the root is scaled to zero."""
-        return is_singular(self.matrix)
-
-    @property
     def up(self) -> np.ndarray:
         """The unit vector (3,) up, in world space."""
         return self.matrix[:3, 2] / np.linalg.norm(self.matrix[:3, 2])
@@ -60,12 +55,6 @@ class TerrainSpace:
         """Return unit normals (N, 3) of the terrain in world space."""
         turned = np.linalg.solve(self.matrix[:3, :3].T, normals.T).T
         return turned / np.linalg.norm(turned, axis=1, keepdims=True)
-
-
-def is_singular(matrix: np.ndarray) -> bool:
-    """Return whether a matrix (4, 4) projects space to a plane, a line or a point."""
-    scales = np.linalg.svd(matrix[:3, :3], compute_uv=False)
-    return not np.isfinite(matrix).all() or scales[-1] <= 1e-12 * max(scales[0], 1e-30)
 
 
 def selected_objects(context: bpy.types.Context, terrain: SceneTerrain) -> list[bpy.types.Object]:
@@ -144,7 +133,7 @@ def refusal_of_points(item: bpy.types.Object) -> str:
         return "data that other objects share"
     if item.type == "MESH" and item.data.shape_keys is not None:
         return "shape keys"
-    return "a scale of zero" if is_singular(np.array(item.matrix_world, np.float64)) else ""
+    return "" if is_invertible(np.array(item.matrix_world, np.float64)) else "a scale of zero, or a transform that is not finite"
 
 
 def refusal_of_object(item: bpy.types.Object) -> str:

@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 
 from ...core.errors import GeometryError
-from ...core.geometry.transforms import is_mirroring, normalize, transform_points
+from ...core.geometry.transforms import is_invertible, is_mirroring, normalize, transform_points
 from .evaluated_mesh import EvaluatedMesh, MaterialKey, MeshAttribute
 from .meshes import SourceInstance, explain_no_faces, read_instances
 
@@ -44,7 +44,7 @@ def read_joined_mesh(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> 
     count = sum(len(instance.mesh.triangles) for instance in instances)
     if count > MAX_TRIANGLES:
         raise GeometryError(f'The {len(instances):,} instances of "{item.name}" have {count:,} triangles; show fewer of them.')
-    if not np.isfinite(matrix).all() or np.linalg.matrix_rank(matrix[:3, :3]) < 3:
+    if not is_invertible(matrix):
         raise GeometryError(f'"{item.name}" has instances, and a scale of 0 or a transform that is not finite; give it another one.')
     return join_instances(instances, np.linalg.inv(matrix)), len(instances)
 

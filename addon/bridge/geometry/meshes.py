@@ -9,7 +9,7 @@ import numpy as np
 from ...core.errors import GeometryError
 from ...core.geometry.mesh import MAX_COORDINATE, PointCloud, TriangleMesh, check_points, fingerprint
 from ...core.geometry.points import estimate_normals, splat_radii
-from ...core.geometry.transforms import frames_from_normals, is_mirroring, normalize, transform_points
+from ...core.geometry.transforms import frames_from_normals, is_invertible, is_mirroring, normalize, transform_points
 from ...core.messages import format_count
 from .evaluated_mesh import EvaluatedMesh, MaterialKey, MeshAttribute, read_evaluated_mesh
 
@@ -271,7 +271,7 @@ def _read_mesh(evaluated: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> E
 
 def _point_normals(mesh: EvaluatedMesh, matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
     name = next((name for name in NORMAL_ATTRIBUTES if name in mesh.attributes), None)
-    if name is None or mesh.attributes[name].values.shape != points.shape or not _is_invertible(matrix):
+    if name is None or mesh.attributes[name].values.shape != points.shape or not is_invertible(matrix):
         return estimate_normals(points)
     normals = mesh.attributes[name].values.astype(np.float64) @ np.linalg.inv(matrix[:3, :3])
     is_known = np.linalg.norm(normals, axis=1) > 0.0
@@ -280,14 +280,9 @@ def _point_normals(mesh: EvaluatedMesh, matrix: np.ndarray, points: np.ndarray) 
 
 def _point_radii(mesh: EvaluatedMesh, matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
     radius = mesh.attributes.get("radius")
-    if radius is None or radius.domain != "POINT" or not _is_invertible(matrix):
+    if radius is None or radius.domain != "POINT" or not is_invertible(matrix):
         return splat_radii(points)
     return radius.values[:, 0].astype(np.float64) * abs(np.linalg.det(matrix[:3, :3])) ** (1.0 / 3.0)
-
-
-def _is_invertible(matrix: np.ndarray) -> bool:
-    """Return whether `matrix` (4, 4) does not flatten the space: its scale along every axis is above 0."""
-    return np.linalg.matrix_rank(matrix[:3, :3]) == 3
 
 
 def _point_colors(mesh: EvaluatedMesh) -> np.ndarray | None:

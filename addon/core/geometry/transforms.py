@@ -9,6 +9,11 @@ def transform_points(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.asarray(points, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
 
 
+def is_invertible(matrix: np.ndarray) -> bool:
+    """Return whether a matrix (4, 4) is finite and does not project space to a plane, a line or a point."""
+    return bool(np.isfinite(matrix).all() and np.linalg.matrix_rank(matrix[:3, :3]) == 3)
+
+
 def normalize(vectors: np.ndarray) -> np.ndarray:
     """Return `vectors` (..., N) with length 1; zero stays zero."""
     lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from ..errors import SettingsError
+from .transforms import is_invertible
 
 Kind = Literal["perspective", "orthographic", "panoramic"]
 MIN_HORIZONTAL = 1e-9  # A smaller horizontal part of a camera's direction does not tell where its right is.
@@ -165,7 +166,7 @@ class Viewer:
     @cached_property
     def inverse(self) -> np.ndarray:
         """The matrix (4, 4) float64 to camera space. Raises SettingsError if there is none."""
-        if not np.isfinite(self.matrix).all() or np.linalg.matrix_rank(self.matrix[:3, :3]) < 3:
+        if not is_invertible(self.matrix):
             raise SettingsError("The camera or the terrain has a scale of 0, or a transform that is not finite; clear it.")
         linear = np.linalg.inv(self.matrix[:3, :3])
         inverse = np.eye(4)

@@ -14,6 +14,7 @@ from ...core.bdam.ground.surfaces import MeshSurface, StoreSurface, Surface, fin
 from ...core.bdam.settings import GroundSettings
 from ...core.bdam.store.terrain_store import TerrainStore
 from ...core.errors import FileError, GeometryError
+from ...core.geometry.transforms import is_invertible
 from ...core.jobs.progress import Progress, Steps
 from ...core.messages import format_count, join_sentences
 from .. import properties, start_job
@@ -176,8 +177,8 @@ def prepare(context: bpy.types.Context, terrain: SceneTerrain, settings: GroundS
     """
     context.view_layer.update()
     space = TerrainSpace.of(terrain)
-    if space.is_singular:
-        raise GeometryError(f'The terrain "{terrain.name}" has a scale of zero; reset its scale.')
+    if not is_invertible(space.matrix):
+        raise GeometryError(f'The terrain "{terrain.name}" has a scale of zero, or a transform that is not finite; clear its transform.')
     uses_points = settings.target == "points"
     skipped: Counter = Counter()
     names, groups = [], []
