@@ -1,5 +1,6 @@
 """Refit levels: less deviation, seams that stay closed, and no flipped triangles."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +11,9 @@ from farfield.addon.core.geometry.edges import find_edges, halfedge_ends
 from farfield.addon.core.geometry.mesh import concatenate
 from farfield.addon.core.geometry.transforms import signed_areas
 from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.texmesh import level_chain
 from farfield.addon.core.texmesh.refitting.border_curves import find_border_curves, find_border_halfedges
+from farfield.addon.core.texmesh.refitting.comparison import LevelComparison
 from farfield.addon.core.texmesh.refitting.correspondence import sample_surface
 from farfield.addon.core.texmesh.refitting.edge_flips import flip_edges
 from farfield.addon.core.texmesh.refitting.edge_splits import split_edges
@@ -22,6 +25,7 @@ from farfield.addon.core.texmesh.simplification.levels import extract_level, sim
 from farfield.addon.core.texmesh.simplification.topology import find_islands
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 from tests.shapes import cylinder, sheet
+from textured_levels import checkered, textured_sphere
 
 SIDE = 24
 BOUNDARY_TOLERANCE = 1e-6
@@ -68,6 +72,35 @@ def test_both_deviations_get_smaller(fine, level, refitted):
     before, after = (measure_geometric_deviation(fine, mesh, 8000) for mesh in (level, refitted))
     assert after.from_fine.mean < 0.7 * before.from_fine.mean
     assert len(refitted.triangles) == len(level.triangles)
+
+
+def add_spike(mesh: TexturedMesh, height: float = 0.5) -> TexturedMesh:
+    """Return a mesh with one vertex moved outwards."""
+    vertices = mesh.vertices.copy()
+    vertices[0] += height * np.array([0.3, 0.4, 0.8])
+    return replace(mesh, vertices=vertices)
+
+
+def test_a_level_with_a_spike_or_a_texture_that_slides_is_worse(fine, level, refitted):
+    comparison = LevelComparison(fine)
+    assert not comparison.is_worse(refitted, level) and not comparison.is_worse(fine, fine)
+    assert comparison.is_worse(add_spike(refitted), level)
+    assert comparison.is_worse(replace(refitted, uvs=refitted.uvs + [0.0, 0.2]), level)
+
+
+@pytest.mark.parametrize("is_spiked", [False, True])
+def test_levels_that_the_refit_made_worse_keep_their_vertices(monkeypatch, is_spiked):
+    def refit_starts(*arguments):
+        moved = yield from refit_as_usual(*arguments)
+        return [add_spike(mesh) if is_spiked else mesh for mesh in moved]
+
+    refit_as_usual = level_chain.refit_starts
+    monkeypatch.setattr(level_chain, "refit_starts", refit_starts)
+    mesh = textured_sphere(12)
+    settings = TexmeshSettings(levels="ratios", ratios="0.4", views=2, max_image=32)
+    chain = run_to_end(level_chain.make_levels(mesh, [checkered(16)], settings))
+    are_kept = (chain.levels[1].mesh.vertices[:, None] == mesh.vertices).all(axis=2).any(axis=1)
+    assert are_kept.all() == is_spiked
 
 
 def test_no_triangle_is_flipped_in_texture_space(refitted):

@@ -12,6 +12,7 @@ from farfield.addon.core.geometry.cameras import pixel_size_at, switch_distance
 from farfield.addon.core.geometry.directions import fibonacci_sphere
 from farfield.addon.core.imaging.mipmaps import build_mipmaps, resize_by_area
 from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.texmesh.corner_normals import find_corner_normals
 from farfield.addon.core.texmesh.perception import switch_distances, views
 from farfield.addon.core.texmesh.perception.level_images import LevelComparison, LevelImages, measure_difference
 from farfield.addon.core.texmesh.perception.switch_distances import Switch
@@ -71,12 +72,12 @@ def test_small_renders_are_resized_large_ones():
 
 
 def test_sharp_edges_are_shaded_flat():
-    normals = views.find_corner_normals(textured_sphere(40))
+    normals = find_corner_normals(textured_sphere(40))
     assert np.abs(np.linalg.norm(normals, axis=2) - 1.0).max() < 1e-5
     coarse = textured_sphere(2)  # an octahedron
     faces = np.cross(*(coarse.vertices[coarse.triangles[:, k]] - coarse.vertices[coarse.triangles[:, 0]] for k in (1, 2)))
     faces /= np.linalg.norm(faces, axis=1, keepdims=True)
-    assert np.abs(views.find_corner_normals(coarse) - faces[:, None]).max() < 1e-6
+    assert np.abs(find_corner_normals(coarse) - faces[:, None]).max() < 1e-6
 
 
 def test_equal_levels_switch_at_the_nearest_distance():

@@ -5,6 +5,7 @@ import numpy as np
 
 from ...core.geometry.mesh import scaled_normals
 from ...core.geometry.transforms import normalize
+from ...core.texmesh.corner_normals import repair_normals
 from ...core.texmesh.scale_space.features import ScaleMap
 from ...core.texmesh.textured_mesh import TexturedMesh
 from ..geometry.evaluated_mesh import EvaluatedMesh, MeshAttribute
@@ -29,12 +30,13 @@ def create_level_mesh(name: str, source: TexturedSource, level: TexturedMesh, sc
         write_attribute(mesh, source.uv_map, "CORNER", level.corner_uvs)
     start = 0
     for attribute, width in source.attributes:
-        values = level.attributes[:, start : start + width][level.wedge_triangles]
+        columns = slice(start, start + width)
         start += width
         if attribute == NORMALS:
-            _write_normals(mesh, level, values)
+            normals = repair_normals(source.mesh, source.mesh.attributes[:, columns], level, level.attributes[:, columns])
+            _write_normals(mesh, level, normals)
         elif attribute not in mesh.attributes:
-            write_attribute(mesh, attribute, "CORNER", values)
+            write_attribute(mesh, attribute, "CORNER", level.attributes[:, columns][level.wedge_triangles])
     if not any(attribute == NORMALS for attribute, _ in source.attributes):
         _write_flat(mesh, np.ones(len(level.triangles), bool))
     vertex_corners = np.zeros(len(level.vertices), np.int64)

@@ -16,6 +16,7 @@ from .level_choices import MIN_PIXELS, ComparedCandidates, choose_candidates, co
 from .perception.level_images import LevelImages
 from .perception.switch_distances import Switch, find_shown_levels, find_switches, open_images
 from .perception.weber import Impacts
+from .refitting.comparison import LevelComparison
 from .refitting.refit import refit_starts
 from .scale_space.analysis import analyze_scale_space
 from .scale_space.features import ScaleMap
@@ -125,11 +126,15 @@ def _keep(
 def _optimize(
     compared: ComparedCandidates, chosen: Sequence[int], mipmaps: Sequence[Mipmaps | None], settings: TexmeshSettings
 ) -> Steps[tuple[list[Candidate], list[LevelImages]]]:
-    """Return the `chosen` candidates with positions and texture coordinates that deviate least from the original, and their images."""
+    """Return the `chosen` candidates with positions and texture coordinates that deviate least from the original, and their images. Where
+    the farthest places of an optimized level are farther than those of the candidate, the candidate stays as it is."""
     del compared.images[1:]  # The optimization needs their memory.
     original, *others = (compared.items[index] for index in chosen)
     moved = yield from refit_starts(original.mesh, [item.start for item in others], [item.target for item in others])
-    kept = [original, *(replace(item, mesh=level) for item, level in zip(others, moved, strict=True))]
+    comparison, kept = LevelComparison(original.mesh), [original]
+    for item, level in zip(others, moved, strict=True):
+        yield Progress(0.9, "Comparing levels")
+        kept.append(item if comparison.is_worse(level, item.mesh) else replace(item, mesh=level))
     return kept, open_images(view_levels(kept, mipmaps, settings), settings, compared.images)
 
 

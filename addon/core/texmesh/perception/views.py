@@ -9,15 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...geometry.mesh import face_areas_and_normals, vertex_normals
 from ...imaging.mipmaps import Mipmaps, measure_footprints, sample_mipmaps
 from ...imaging.raster import draw_ids, list_drawn
+from ..corner_normals import find_corner_normals
 from ..textured_mesh import TexturedMesh
 
 PLAIN_COLOR = 0.6  # linear, of materials without a texture
 AMBIENT = 0.25  # fraction of the color that shows without the headlight
 BACKGROUND = 0.214  # linear; middle gray as displayed
-MIN_SMOOTH_COSINE = np.cos(np.radians(40.0))  # between a face and the normal of a vertex; a sharper vertex is shaded flat
 MIN_LENGTH = np.float32(1e-6)  # Length of an interpolated normal; opposite ones cancel.
 FRAME_MARGIN = 1.04  # side of an image relative to the diameter of the object
 
@@ -68,14 +67,6 @@ def prepare_surface(mesh: TexturedMesh, textures: Sequence[Mipmaps | None], is_l
     """
     corner_normals = find_corner_normals(mesh) if is_lit else None
     return ViewedSurface(mesh.vertices, mesh.triangles, mesh.corner_uvs, corner_normals, mesh.materials, textures)
-
-
-def find_corner_normals(mesh: TexturedMesh) -> np.ndarray:
-    """Return normals (T, 3, 3) float32 of corners: those of the vertex, or of the face where it deviates more than 40 degrees."""
-    _, faces = face_areas_and_normals(mesh.vertices[mesh.triangles])
-    corners = vertex_normals(mesh.vertices, mesh.triangles)[mesh.triangles]
-    is_sharp = np.einsum("tci,ti->tc", corners, faces) < MIN_SMOOTH_COSINE
-    return np.where(is_sharp[..., None], faces[:, None], corners).astype(np.float32)
 
 
 def frame_around(vertices: np.ndarray) -> Frame:

@@ -1,0 +1,65 @@
+"""Normals at the corners of textured meshes."""
+
+import numpy as np
+
+from ..arrays import concatenate_ranges
+from ..geometry.mesh import face_areas_and_normals, scaled_normals, vertex_normals
+from ..geometry.transforms import normalize
+from .textured_mesh import TexturedMesh
+
+MIN_SMOOTH_COSINE = np.cos(np.radians(40.0))  # between a face and the normal of a vertex; a sharper vertex is shaded flat
+MAX_TURN = np.radians(30.0)  # A normal may turn so much against the surface when a mesh is simplified.
+
+
+def find_corner_normals(mesh: TexturedMesh) -> np.ndarray:
+    """Return normals (T, 3, 3) float32 of corners: those of the vertex, or of the face where it deviates more than 40 degrees."""
+    _, faces = face_areas_and_normals(mesh.vertices[mesh.triangles])
+    corners = vertex_normals(mesh.vertices, mesh.triangles)[mesh.triangles]
+    is_sharp = np.einsum("tci,ti->tc", corners, faces) < MIN_SMOOTH_COSINE
+    return np.where(is_sharp[..., None], faces[:, None], corners).astype(np.float32)
+
+
+def repair_normals(fine: TexturedMesh, fine_normals: np.ndarray, level: TexturedMesh, normals: np.ndarray) -> np.ndarray:
+    """Return the normals of a level, but mean normals of its faces where a normal came to faces that it does not fit, as where a seam
+    between the normals of a hard edge was dissolved.
+
+    Args:
+        fine: the mesh that the level was made from; `level.sources` are rows of its corners. fine_normals: (W, 3) of its wedges, unit
+            vectors or zero. normals: (W', 3) float32 of the wedges of the level.
+
+    Returns:
+        (T, 3, 3) float32, of the corners of the level.
+    """
+    angles = np.zeros(int(fine.sources.max()) + 1)
+    angles[fine.sources] = _angles_to(_sum_faces(fine), fine_normals)[fine.wedge_triangles]
+    around = vertex_normals(level.vertices, level.triangles)[level.wedge_vertices]
+    turned = np.minimum(_angles_to(_sum_faces(level), normals), _angles_to(around, normals))
+    is_wrong = turned[level.wedge_triangles] > angles[level.sources] + MAX_TURN
+    result = normals[level.wedge_triangles]
+    result[is_wrong] = _smooth_by_angle(level, np.flatnonzero(is_wrong))
+    return result
+
+
+def _smooth_by_angle(mesh: TexturedMesh, corners: np.ndarray) -> np.ndarray:
+    """Return the mean normals (N, 3) at `corners` (N,) of the faces around the vertex that bend away by at most 40 degrees."""
+    faces = scaled_normals(mesh.vertices[mesh.triangles])
+    units, order = normalize(faces), np.argsort(mesh.triangles.ravel(), kind="stable")
+    counts = np.bincount(mesh.triangles.ravel(), minlength=len(mesh.vertices))
+    vertices = mesh.triangles.ravel()[corners]
+    rows = np.repeat(np.arange(len(corners)), counts[vertices])
+    around = order[concatenate_ranges((np.cumsum(counts) - counts)[vertices], counts[vertices])] // 3
+    is_near = np.einsum("ni,ni->n", units[corners[rows] // 3], units[around]) >= MIN_SMOOTH_COSINE
+    sums = [np.bincount(rows[is_near], column, len(corners)) for column in faces[around[is_near]].T]
+    return normalize(np.stack(sums, axis=1)).astype(np.float32)
+
+
+def _sum_faces(mesh: TexturedMesh) -> np.ndarray:
+    """Return the mean normals (W, 3) of the faces of wedges, unit vectors."""
+    faces, wedges = np.repeat(scaled_normals(mesh.vertices[mesh.triangles]), 3, axis=0), mesh.wedge_triangles.ravel()
+    return normalize(np.stack([np.bincount(wedges, column, len(mesh.uvs)) for column in faces.T], axis=1))
+
+
+def _angles_to(directions: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Return the angles (W,) in radians between unit vectors (W, 3) each; 0 where a normal has length zero."""
+    angles = np.arccos(np.clip(np.einsum("wi,wi->w", directions, normals), -1.0, 1.0))
+    return np.where((normals == 0.0).all(axis=1), 0.0, angles)
