@@ -150,4 +150,6 @@ def referenced_files(path: Path) -> list[Path]:
         elif path.suffix.lower() == ".gltf" and path.stat().st_size <= MAX_SCENE_BYTES:
             document = json.loads(path.read_text(encoding="utf-8"))
             names = [unquote(buffer["uri"]) for buffer in document.get("buffers", []) if "uri" in buffer]
-    return [path.parent / name for name in names if not name.startswith("data:")]
+    return [
+        path.parent / name for name in names if not name.startswith("data:") and "\0" not in name
+    ]  # No file has a zero byte in its name.

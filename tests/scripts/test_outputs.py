@@ -180,8 +180,8 @@ def test_materials_of_a_mesh_that_is_moved_to_the_origin_are_not_replaced(tmp_pa
 
 
 def test_files_that_inputs_name(tmp_path):
-    (tmp_path / "a.obj").write_text("# x\nmtllib my colors.mtl\nv 0 0 0\n")
-    (tmp_path / "a.gltf").write_text('{"buffers": [{"uri": "a%20b.bin"}, {"uri": "data:,x"}, {}]}')
+    (tmp_path / "a.obj").write_text("# x\nmtllib my colors.mtl\nmtllib da\0maged.mtl\nv 0 0 0\n")
+    (tmp_path / "a.gltf").write_text('{"buffers": [{"uri": "a%20b.bin"}, {"uri": "a%00b.bin"}, {"uri": "data:,x"}, {}]}')
     (tmp_path / "bad.gltf").write_text("[1")
     assert [path.name for path in referenced_files(tmp_path / "a.obj")] == ["my colors.mtl"]
     assert [path.name for path in referenced_files(tmp_path / "a.gltf")] == ["a b.bin"]
