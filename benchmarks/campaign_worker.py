@@ -7,6 +7,7 @@ import faulthandler
 import functools
 import importlib
 import json
+import logging
 import os
 import shutil
 import signal
@@ -236,6 +237,8 @@ def captured(sandbox: Path) -> Iterator[list[str]]:
         for descriptor, original in zip((1, 2), originals, strict=True):
             os.dup2(original, descriptor)
             os.close(original)
+        for name in ("glTFImporter", "glTFImporter_errors"):  # Their handlers keep the streams of an earlier case.
+            logging.getLogger(name).handlers.clear()
         texts += [path.read_text(encoding="utf-8", errors="backslashreplace") for path in paths]
 
 

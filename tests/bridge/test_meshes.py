@@ -12,7 +12,7 @@ import bpy
 from bridge import blender_scenes
 from farfield.addon.bridge.geometry.meshes import concatenate_in_world_space, read_instances, read_point_cloud, read_source
 from farfield.addon.core.errors import GeometryError
-from farfield.addon.core.geometry.mesh import face_areas_and_normals
+from farfield.addon.core.geometry.mesh import face_areas_and_normals, fingerprint
 
 
 @pytest.fixture(autouse=True)
@@ -46,6 +46,7 @@ def test_coordinates_that_no_tool_can_use_are_read_without_warnings(coordinate):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         (instance,) = read_instances([box], bpy.context.evaluated_depsgraph_get())
+        assert fingerprint(instance.mesh.vertices, instance.mesh.triangles)
     assert len(instance.mesh.vertices) == 8
 
 

@@ -9,13 +9,15 @@ import bpy
 
 from bridge import blender_scenes
 from bridge.bakes import bake_in_this_process, open_cloud
-from farfield.addon.bridge.billboards.level_objects import PBR_MATERIAL
+from farfield.addon.bridge.billboards.cloud_materials import MAPS, SIDES, map_label
+from farfield.addon.bridge.billboards.level_objects import PBR_MATERIAL, pbr_image
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
 from farfield.addon.bridge.btf.levels.decode import is_upper_hemisphere, read_relightable_texture
+from farfield.addon.bridge.btf.levels.surface_levels import check_maps
 from farfield.addon.bridge.btf.materials.emission_material import sun_color_property
 from farfield.addon.bridge.btf.materials.shared_parameters import read_shared_parameters
 from farfield.addon.bridge.shading.node_builder import nodes_in
-from farfield.addon.core.errors import GeometryError
+from farfield.addon.core.errors import FileError, GeometryError
 from farfield.addon.core.imaging import metrics
 from farfield.addon.core.jobs.progress import run_to_end
 from lib import scene_files
@@ -169,6 +171,17 @@ def test_a_cloud_without_textures_needs_the_model_emission():
     build_cloud(blender_scenes.box(), textures=False)
     with pytest.raises(RuntimeError, match="has no textures, which the model Surface needs"):
         bpy.ops.farfield.btf_bake(**QUICK_BAKE)
+
+
+def test_a_map_without_pixels_is_named(tmp_path):
+    built = build_cloud(blender_scenes.box())
+    image = pbr_image(built.levels[0], map_label(SIDES[0], MAPS[0]))
+    if image.packed_file:
+        image.unpack(method="REMOVE")
+    image.source, image.filepath = "FILE", str(tmp_path / "gone.png")
+    image.reload()
+    with pytest.raises(FileError, match=f'"{image.name}" is missing or empty'):
+        check_maps(built.levels[0])
 
 
 def test_common_shader_parameters_are_copied(cloud):

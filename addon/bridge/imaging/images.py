@@ -68,6 +68,14 @@ def find_path(image: bpy.types.Image) -> str:
     return bpy.path.abspath(image.filepath, library=image.library)
 
 
+def check_pixels(image: bpy.types.Image) -> None:
+    """Raise FileError if an image has no pixels, for instance because its file is missing."""
+    if not all(image.size):
+        raise FileError(
+            f'The image "{image.name}" is missing or empty ("{find_path(image)}"); find its file, or remove it from the material.'
+        )
+
+
 def save_image(image: bpy.types.Image, path: Path) -> None:
     """Write an image to `path` in its file format.
 

@@ -7,9 +7,9 @@ import numpy as np
 
 from ...core.imaging.colors import LINEAR_OF_BYTE, encode_signed_srgb
 from ..imaging.color_spaces import SRGB, read_linear_pixels
-from ..imaging.images import read_pixels
+from ..imaging.images import check_pixels, read_pixels
 from ..texmesh.color_images import MAX_SIDE as MAX_ANALYZED_SIDE
-from ..texmesh.color_images import check_pixels, read_color_image, scaled_copy
+from ..texmesh.color_images import read_color_image, scaled_copy
 
 MAX_SIDE = 8192  # pixels; larger images are scaled down
 MEAN = -1  # The mean of the channels instead of one of them.

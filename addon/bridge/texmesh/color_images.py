@@ -7,9 +7,8 @@ import bpy
 import numpy as np
 
 from ...compat import uses_nodes
-from ...core.errors import FileError
 from ..imaging.color_spaces import read_linear_pixels
-from ..imaging.images import find_path
+from ..imaging.images import check_pixels
 from ..shading.socket_sources import ScopedSocket, find_source
 from ..shading.surface_reader import find_output, list_color_inputs
 from ..shading.texture_uses import read_texture_use
@@ -62,14 +61,6 @@ def scaled_copy(image: bpy.types.Image, max_side: int) -> Iterator[bpy.types.Ima
         yield copy
     finally:
         bpy.data.images.remove(copy)
-
-
-def check_pixels(image: bpy.types.Image) -> None:
-    """Raise FileError if an image has no pixels, for instance because its file is missing."""
-    if not all(image.size):
-        raise FileError(
-            f'The image "{image.name}" is missing or empty ("{find_path(image)}"); find its file, or remove it from the material.'
-        )
 
 
 def _read_colors(image: bpy.types.Image) -> np.ndarray:

@@ -11,10 +11,9 @@ from ...core.imaging.coded_images import encode
 from ...core.imaging.colors import LUMINANCE, encode_signed_srgb
 from ...core.imaging.images import sample_bilinear, to_bytes, unpremultiply
 from ..imaging.color_spaces import SRGB, read_linear_pixels
-from ..imaging.images import INDEPENDENT_ALPHA, find_path, read_pixels
+from ..imaging.images import INDEPENDENT_ALPHA, check_pixels, find_path, read_pixels
 from ..shading.color_products import CHANNELS
 from ..shading.texture_uses import TextureUse
-from .color_images import check_pixels
 
 
 def read_used_image(color: TextureUse | None, alpha: TextureUse | None, is_opaque: bool) -> bytes:

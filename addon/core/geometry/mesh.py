@@ -195,5 +195,6 @@ def fingerprint(points: np.ndarray, corners: np.ndarray) -> str:
     """Return a digest of a geometry: points (V, 3) to a ten-thousandth of the longest side, and their connectivity (any integers)."""
     side = longest_side(points) or 1.0
     center = np.rint(0.5 * (points.min(axis=0) + points.max(axis=0)) * (1e4 / side))  # too large for an integer far from the origin
-    relative = np.rint(points * (1e4 / side) - center).astype(np.int64)
+    with np.errstate(invalid="ignore"):  # Coordinates that are not finite become any integer.
+        relative = np.rint(points * (1e4 / side) - center).astype(np.int64)
     return hashlib.sha256(center.tobytes() + relative.tobytes() + np.ascontiguousarray(corners, np.int64).tobytes()).hexdigest()

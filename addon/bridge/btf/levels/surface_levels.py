@@ -15,7 +15,7 @@ from ....core.imaging.metrics import decode_srgb
 from ...billboards.cloud_materials import COLOR, MAPS, NORMAL, SHADOWLESS_DISTANCE, SIDES, SOLID_ATTRIBUTE, map_label
 from ...billboards.level_maps import SHADOWLESS_ERRORS
 from ...billboards.level_objects import pbr_image, pbr_material, read_pbr_alpha, read_quad_flags
-from ...imaging.images import read_pixels
+from ...imaging.images import check_pixels, read_pixels
 from ...lod_crossfade import apply_to_materials
 from ..materials.emission_material import LAYOUT, VERSION
 from ..materials.nodes.parallax_nodes import write_texel_axes
@@ -26,12 +26,15 @@ from .emission_levels import remove_suns, replace_pbr_material
 
 
 def check_maps(level_object: bpy.types.Object) -> None:
-    """Raise GeometryError if a level has no PBR maps."""
-    if None in _pbr_images(level_object).values():
+    """Raise GeometryError if a level has no PBR maps, FileError if one has no pixels."""
+    images = _pbr_images(level_object).values()
+    if None in images:
         raise GeometryError(
             f'The level "{level_object.name}" has no textures, which the model Surface needs; build the cloud with textures, '
             "or choose the model Emission."
         )
+    for image in images:
+        check_pixels(image)
 
 
 def read_two_sided_texels(level_object: bpy.types.Object, texels: Texels) -> TwoSidedTexels:
