@@ -130,7 +130,7 @@ def test_a_large_object_switches_farther_away():
 
 def test_screen_coverage_is_that_of_a_disc():
     assert switch_distances.screen_coverage(0.1, 1.0, (100, 100)) == pytest.approx(math.pi * 0.01)
-    assert switch_distances.screen_coverage(1e-9, 1.0, (100, 100)) == 1.0
+    assert [switch_distances.screen_coverage(size, 1.0, (100, 100)) for size in (0.0, 1e-300, 1e-9)] == [1.0] * 3
 
 
 def test_images_do_not_grow_along_a_chain_and_with_a_gap_they_shrink():

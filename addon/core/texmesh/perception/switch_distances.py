@@ -119,6 +119,8 @@ def screen_coverage(pixel_size: float, radius: float, image_size: tuple[int, int
 
     For MSFT_screencoverage of glTF. radius: of the object's bounding sphere, in its unit. image_size: width and height in pixels.
     """
+    if radius >= pixel_size * np.hypot(*image_size):
+        return 1.0
     return float(min(np.pi * (radius / pixel_size) ** 2 / (image_size[0] * image_size[1]), 1.0))
 
 
