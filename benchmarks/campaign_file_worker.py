@@ -167,7 +167,7 @@ def _compare_store(path: Path, folder: Path) -> Values:
     rows, columns = field.shape
     np.save(folder / "heights.npy", field.read(slice(0, rows), slice(0, columns)))
     step = list(field.placement.step) if field.placement.is_placed else None
-    return _ask(
+    return _query(
         kind="heights",
         path=str(path),
         heights=str(folder / "heights.npy"),
@@ -180,13 +180,13 @@ def _compare_heights(path: Path, folder: Path) -> Values:
     """Compare the heights that boxes are built from; their spacing in meters has no counterpart elsewhere."""
     found = read_heights(path, read_gray_image)
     np.save(folder / "heights.npy", found.heights)
-    return _ask(
+    return _query(
         kind="heights", path=str(path), heights=str(folder / "heights.npy"), step=None, white=WHITE if found.pixel_size is None else None
     ) | {"warnings": list(found.warnings)}
 
 
 def _compare_pixels(path: Path, folder: Path) -> Values:
-    return _ask(kind="image", path=str(path), out=str(_restored(path, folder)), mask=str(folder / "mask.npy"))
+    return _query(kind="image", path=str(path), out=str(_restored(path, folder)), mask=str(folder / "mask.npy"))
 
 
 def _compare_projections(path: Path, folder: Path) -> Values:
@@ -203,7 +203,7 @@ def _compare_projections(path: Path, folder: Path) -> Values:
     np.save(folder / "projections.npy", np.array(found))
     names = [camera.name for camera in cameras]
     files = {"points": str(folder / "points.npy"), "projections": str(folder / "projections.npy")}
-    return _ask(kind="cameras", path=str(path), names=names, **files)
+    return _query(kind="cameras", path=str(path), names=names, **files)
 
 
 COMPARISONS: dict[str, Callable[[Path, Path], Values]] = {
@@ -228,7 +228,7 @@ def _references() -> subprocess.Popen:
     )
 
 
-def _ask(**request: Any) -> Values:
+def _query(**request: Any) -> Values:
     """Return the answer of the reference readers. Without one for this file it only tells why."""
     process = _references()
     process.stdin.write(json.dumps(request) + "\n")

@@ -14,6 +14,7 @@ from farfield.addon.core.texmesh.refitting.correspondence import (
     match_islands,
     sample_surface,
 )
+from farfield.addon.core.texmesh.refitting.outliers import FineSurface
 from farfield.addon.core.texmesh.refitting.refit import TUNING, make_starts, refit_starts
 from farfield.addon.core.texmesh.simplification.topology import find_islands
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
@@ -100,4 +101,4 @@ def make_refit_levels(
         SettingsError: the targets do not descend or are not positive.
     """
     starts = yield from subprogress(make_starts(fine, targets, settings), 0.0, TUNING.simplification_fraction)
-    return (yield from subprogress(refit_starts(fine, starts, targets, iterations), TUNING.simplification_fraction, 1.0))
+    return (yield from subprogress(refit_starts(FineSurface.of(fine), starts, targets, iterations), TUNING.simplification_fraction, 1.0))

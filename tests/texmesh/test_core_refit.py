@@ -19,6 +19,7 @@ from farfield.addon.core.texmesh.refitting.edge_flips import flip_edges
 from farfield.addon.core.texmesh.refitting.edge_splits import split_edges
 from farfield.addon.core.texmesh.refitting.least_squares import Linearization, compute_moments
 from farfield.addon.core.texmesh.refitting.level_state import LevelState, attach
+from farfield.addon.core.texmesh.refitting.outliers import FineSurface
 from farfield.addon.core.texmesh.refitting.refit import refit, sum_costs
 from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.core.texmesh.simplification.levels import extract_level, simplify_by_cost
@@ -82,7 +83,7 @@ def add_spike(mesh: TexturedMesh, height: float = 0.5) -> TexturedMesh:
 
 
 def test_a_level_with_a_spike_or_a_texture_that_slides_is_worse(fine, level, refitted):
-    comparison = LevelComparison(fine)
+    comparison = LevelComparison(FineSurface.of(fine))
     assert not comparison.is_worse(refitted, level) and not comparison.is_worse(fine, fine)
     assert comparison.is_worse(add_spike(refitted), level)
     assert comparison.is_worse(replace(refitted, uvs=refitted.uvs + [0.0, 0.2]), level)

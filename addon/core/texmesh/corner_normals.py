@@ -41,7 +41,7 @@ def repair_normals(fine: TexturedMesh, fine_normals: np.ndarray, level: Textured
 
 
 def _smooth_by_angle(mesh: TexturedMesh, corners: np.ndarray) -> np.ndarray:
-    """Return the mean normals (N, 3) at `corners` (N,) of the faces around the vertex that bend away by at most 40 degrees."""
+    """Return the mean normals (N, 3) at `corners` (N,) of the faces around the vertex whose normals deviate by at most 40 degrees."""
     faces = scaled_normals(mesh.vertices[mesh.triangles])
     units, order = normalize(faces), np.argsort(mesh.triangles.ravel(), kind="stable")
     counts = np.bincount(mesh.triangles.ravel(), minlength=len(mesh.vertices))

@@ -17,6 +17,7 @@ from .perception.level_images import LevelImages
 from .perception.switch_distances import Switch, find_shown_levels, find_switches, open_images
 from .perception.weber import Impacts
 from .refitting.comparison import LevelComparison
+from .refitting.outliers import FineSurface
 from .refitting.refit import refit_starts
 from .scale_space.analysis import analyze_scale_space
 from .scale_space.features import ScaleMap
@@ -130,8 +131,9 @@ def _optimize(
     the farthest places of an optimized level are farther than those of the candidate, the candidate stays as it is."""
     del compared.images[1:]  # The optimization needs their memory.
     original, *others = (compared.items[index] for index in chosen)
-    moved = yield from refit_starts(original.mesh, [item.start for item in others], [item.target for item in others])
-    comparison, kept = LevelComparison(original.mesh), [original]
+    comparison = LevelComparison(FineSurface.of(original.mesh))
+    moved = yield from refit_starts(comparison.surface, [item.start for item in others], [item.target for item in others])
+    kept = [original]
     for item, level in zip(others, moved, strict=True):
         yield Progress(0.9, "Comparing levels")
         kept.append(item if comparison.is_worse(level, item.mesh) else replace(item, mesh=level))

@@ -13,7 +13,6 @@ from ...imaging.raster import rasterize
 from ...jobs.progress import Progress, Steps
 from ..refitting.correspondence import SurfaceSamples, compute_uv_scale, match_islands, sample_surface
 from ..refitting.outliers import FineSurface
-from ..simplification.topology import find_islands
 from ..textured_mesh import TexturedMesh
 from .image_sizes import choose_supersampling, halve_size
 from .surface_descent import SurfaceDescent
@@ -36,7 +35,7 @@ class OriginalSurface:
     @cached_property
     def surface(self) -> FineSurface:
         """The surface with its UV islands."""
-        return FineSurface(self.mesh, find_islands(self.mesh))
+        return FineSurface.of(self.mesh)
 
     @cached_property
     def descent(self) -> SurfaceDescent:

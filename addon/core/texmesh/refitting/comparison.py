@@ -10,7 +10,6 @@ import numpy as np
 
 from ...geometry.distance import TriangleTree
 from ...geometry.mesh import longest_side
-from ..simplification.topology import find_islands
 from ..textured_mesh import TexturedMesh
 from .correspondence import SurfaceSamples, compute_uv_scale, match_islands, sample_surface
 from .level_state import attach
@@ -26,27 +25,23 @@ TOLERANCE = 1e-3  # or this fraction of the longest side of the mesh.
 class LevelComparison:
     """A fine mesh that levels are compared with."""
 
-    fine: TexturedMesh
-
-    @cached_property
-    def _surface(self) -> FineSurface:
-        return FineSurface(self.fine, find_islands(self.fine))
+    surface: FineSurface
 
     @cached_property
     def _samples(self) -> SurfaceSamples:
-        return sample_surface(self.fine, self._surface.islands, SAMPLES, np.random.default_rng(0), triangle_fraction=0.5)
+        return sample_surface(self.surface.mesh, self.surface.islands, SAMPLES, np.random.default_rng(0), triangle_fraction=0.5)
 
     def is_worse(self, level: TexturedMesh, other: TexturedMesh) -> bool:
         """Return whether `level` is farther from the fine mesh than `other` by one of `measure`."""
-        tolerance = TOLERANCE * longest_side(self.fine.vertices)
+        tolerance = TOLERANCE * longest_side(self.surface.mesh.vertices)
         return bool((self.measure(level) > np.maximum(MAX_RATIO * self.measure(other), tolerance)).any())
 
     def measure(self, level: TexturedMesh) -> np.ndarray:
         """Return the largest distance between the surfaces, from both sides, and the distance of points with equal texture coordinates that
         one in a hundred exceeds, (2,) float64."""
-        samples, fine = self._samples, self.fine
+        samples, fine = self._samples, self.surface.mesh
         islands = match_islands(samples, fine.materials[samples.triangles], level, compute_uv_scale(fine))
         state = attach(level, islands, samples, normal_weight=1.0)
-        from_level = self._surface.measure_distances(gather_points(level.vertices, state.edges)).max()
+        from_level = self.surface.measure_distances(gather_points(level.vertices, state.edges)).max()
         from_fine = TriangleTree(state.corners).find_closest(samples.positions)[0].max()
         return np.array([max(from_level, from_fine), np.quantile(np.linalg.norm(state.residuals, axis=1), QUANTILE)])

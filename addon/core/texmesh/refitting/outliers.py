@@ -6,6 +6,7 @@ and beyond concave boundaries, where the fine mesh has no texture coordinates. T
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -14,6 +15,7 @@ from ...arrays import TINY, find_last_positions
 from ...geometry.distance import TriangleTree, closest_barycentric, squared_point_triangle_distances
 from ...geometry.edges import Edges
 from ...geometry.mesh import face_areas_and_normals, longest_side
+from ..simplification.topology import find_islands
 from ..textured_mesh import TexturedMesh
 from .correspondence import Correspondence, SurfaceSamples, UvTriangles, find_in_triangles
 from .level_state import LevelState
@@ -32,6 +34,11 @@ class FineSurface:
 
     mesh: TexturedMesh
     islands: np.ndarray
+
+    @classmethod
+    def of(cls, mesh: TexturedMesh) -> Self:
+        """Return the surface of a mesh."""
+        return cls(mesh, find_islands(mesh))
 
     def find_closest(self, points: np.ndarray, enough: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Return the distances (N,) of `points` (N, 3) from the surface, and the nearest triangles (N,). Distances up to `enough`, one or

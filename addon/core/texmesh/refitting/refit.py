@@ -13,7 +13,6 @@ from ...jobs.parallel_steps import run_in_parallel
 from ...jobs.progress import Progress, Steps
 from ..settings import TexmeshSettings
 from ..simplification.levels import SubsetLevel, extract_level, simplify_by_cost
-from ..simplification.topology import find_islands
 from ..textured_mesh import TexturedMesh
 from .border_curves import BorderCurves, Freedom, find_border_curves, find_freedom, move_uvs
 from .correspondence import compute_uv_scale, match_islands, sample_surface
@@ -67,10 +66,10 @@ def make_starts(fine: TexturedMesh, targets: list[int], settings: TexmeshSetting
 
 
 def refit_starts(
-    fine: TexturedMesh, starts: Sequence[SubsetLevel], targets: Sequence[int], iterations: int = TUNING.iterations
+    surface: FineSurface, starts: Sequence[SubsetLevel], targets: Sequence[int], iterations: int = TUNING.iterations
 ) -> Steps[list[TexturedMesh]]:
-    """Return the levels that `starts` of `make_starts`, or some of them, become, with their `targets`."""
-    surface = FineSurface(fine, find_islands(fine))
+    """Return the levels that `starts` of `make_starts`, or some of them, become, with their `targets`. surface: of the fine mesh."""
+    fine = surface.mesh
     tasks = [refit(fine, extract_level(fine, start), target, surface, iterations) for target, start in zip(targets, starts, strict=True)]
     return (yield from run_in_parallel(tasks))
 
@@ -89,7 +88,7 @@ def refit(
     """
     yield Progress(0.0, "Refitting")
     count = int(np.clip(TUNING.samples_per_triangle * max(len(level.triangles), target), TUNING.min_samples, TUNING.max_samples))
-    surface = FineSurface(fine, find_islands(fine)) if surface is None else surface
+    surface = FineSurface.of(fine) if surface is None else surface
     islands, uv_scale = surface.islands, compute_uv_scale(fine)
     samples = sample_surface(fine, islands, count, np.random.default_rng(0), TUNING.triangle_fraction)
     level_islands = match_islands(samples, fine.materials[samples.triangles], level, uv_scale)
