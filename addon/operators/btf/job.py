@@ -43,7 +43,7 @@ from ...core.files.user_folders import open_private_folder
 from ...core.geometry.cameras import OrthographicView
 from ...core.jobs import heartbeat
 from ...core.jobs.dispatch import Shard
-from ...core.jobs.executors import parse_executor
+from ...core.jobs.executors import check_executor
 from ...core.jobs.progress import StageClock, Steps, subprogress
 from . import estimates
 
@@ -252,9 +252,10 @@ def prepare_bake(
         GeometryError: if a source object was removed or edited, or an older version of Farfield built the cloud.
         FileError: if an image file of a material is missing, or the folder belongs to another bake or cannot be written.
         SettingsError: see `BtfSettings.check_table_size`; or if the executor does not exist.
+        FarfieldError: no Dask scheduler answers, see `check_executor`.
     """
     settings.check_table_size()
-    parse_executor(settings.executor)
+    check_executor(settings.executor)
     check_editable(cloud)
     name = cloud.collection.name
     source_objects, missing = cloud.sources, cloud.missing_source_names
