@@ -35,7 +35,7 @@ def make_random_mesh(seed: int) -> TexturedMesh:
 def order_with_levels(mesh: TexturedMesh, percents: tuple[int, ...] = (40, 15, 5)) -> tuple[Simplification, OrderedMesh]:
     """Return levels with so many percent of the triangles, and the numbering of the mesh."""
     targets = [max(len(mesh.triangles) * percent // 100, 1) for percent in percents]
-    result = run_to_end(simplify_by_cost(mesh, None, targets, TexmeshSettings()))
+    result = run_to_end(simplify_by_cost(mesh, None, targets, TexmeshSettings(vertices="original")))
     return result, order_mesh(mesh, [level for level in result.levels if len(level.triangles)], result)
 
 

@@ -70,7 +70,7 @@ def write_textured_package(
     """Write a package of `mesh` with levels of `percents` of its triangles, finest first. images: (H, W, 3) uint8, sRGB, row 0 at the top,
     the base color of each material."""
     targets = [len(mesh.triangles) * percent // 100 for percent in percents]
-    result = run_to_end(simplify_by_cost(mesh, None, targets, TexmeshSettings()))
+    result = run_to_end(simplify_by_cost(mesh, None, targets, TexmeshSettings(vertices="original")))
     ordered = order_mesh(mesh, result.levels, result)
     mesh_content, levels, bounds, uv_bounds = encode_mesh(ordered, (0.0,) * len(ordered.levels), len(images))
     sources = [TextureSource("base_color", image[::-1], mesh, (index,)) for index, image in enumerate(images)]

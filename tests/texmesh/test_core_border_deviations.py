@@ -35,7 +35,7 @@ def find_wedge(mesh: TexturedMesh, x: float, y: float) -> np.ndarray:
 
 def test_only_moves_that_cut_off_a_corner_cost():
     mesh, step = build_sheet(), 1.0 / SIDE
-    borders = BorderDeviations(mesh)
+    borders = BorderDeviations(mesh, mesh.vertices[mesh.wedge_vertices])
     corner, along, inside = find_wedge(mesh, 0.0, 0.0), find_wedge(mesh, step, 0.0), find_wedge(mesh, step, step)
     farther = find_wedge(mesh, 2.0 * step, 0.0)
     assert borders.evaluate(along, farther) == pytest.approx(0.0, abs=1e-15)
@@ -46,7 +46,7 @@ def test_only_moves_that_cut_off_a_corner_cost():
 
 def test_deviations_are_carried_along():
     mesh, step = build_sheet(), 1.0 / SIDE
-    borders = BorderDeviations(mesh)
+    borders = BorderDeviations(mesh, mesh.vertices[mesh.wedge_vertices])
     corner, along, farther = (find_wedge(mesh, x, 0.0) for x in (0.0, step, 2.0 * step))
     borders.merge(corner, along)
     assert borders.evaluate(along, farther) > (np.sqrt(5.0) * step * step / np.sqrt(2.0)) ** 2
@@ -59,7 +59,7 @@ def test_windows_keep_their_corners():
     mesh = sheet(24, lambda x, y: 0.05 * np.sin(5.0 * x) * np.cos(4.0 * y))
     kept = TriangleMesh(mesh.vertices, mesh.triangles[~is_hole])
     windowed = build_textured_mesh(kept, kept.vertices[kept.triangles][:, :, :2])
-    simplified = run_to_end(simplify_by_cost(windowed, DeviationQuadrics(windowed, 8.0), [120], TexmeshSettings()))
+    simplified = run_to_end(simplify_by_cost(windowed, lambda mesh, _: DeviationQuadrics(mesh, 8.0), [120], TexmeshSettings()))
     level = extract_level(windowed, simplified.levels[0])
     corners = [[x, y] for x in (0.125, 0.375) for y in (0.25, 0.75)]
     distances = np.linalg.norm(level.vertices[:, None, :2] - np.array(corners), axis=2).min(axis=0)

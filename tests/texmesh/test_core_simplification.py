@@ -27,7 +27,7 @@ def random_order(mesh: TexturedMesh, targets: list[int], chosen: TexmeshSettings
 def test_levels_are_subsets_of_a_closed_surface_without_flips(seed, by_cost):
     mesh = torus(seed=seed, has_materials=True)
     targets = [len(mesh.triangles) * percent // 100 for percent in (50, 25, 10)]
-    chosen = TexmeshSettings(drastic_simplification=False)
+    chosen = TexmeshSettings(vertices="original", drastic_simplification=False)
     result = run_to_end(simplify_by_cost(mesh, None, targets, chosen)) if by_cost else random_order(mesh, targets, chosen, seed)
     for target, level in zip(targets, result.levels, strict=True):
         assert level.constraint == "" and not level.drastic_steps
@@ -154,7 +154,7 @@ def test_no_input_gives_flips_or_edges_with_more_than_two_triangles(seed, island
         kept = np.random.default_rng(seed).uniform(size=len(mesh.triangles)) < 0.9
         base = TriangleMesh(mesh.vertices, mesh.triangles[kept], mesh.materials[kept])
         mesh = build_textured_mesh(base, mesh.corner_uvs[kept])
-    steps = simplify_by_cost(mesh, None, [100, 40, 4], TexmeshSettings())
+    steps = simplify_by_cost(mesh, None, [100, 40, 4], TexmeshSettings(vertices="original"))
     result = run_to_end(steps) if by_cost else random_order(mesh, [100, 40, 4], TexmeshSettings(), seed)
     for target, level in zip([100, 40, 4], result.levels, strict=True):
         assert len(level.triangles)

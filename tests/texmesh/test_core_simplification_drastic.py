@@ -1,4 +1,4 @@
-"""Simplification where constraints stop it: how they are named, and each step of drastic simplification."""
+"""Simplification where constraints stop it: how they are named, and each drastic step. Vertices stay with their wedges."""
 
 import numpy as np
 
@@ -13,7 +13,8 @@ from textured_models import check_no_flips, check_subset, plane, torus
 
 
 def coarsest(mesh: TexturedMesh, target: int, drastic: bool, size: float = 1.0) -> SubsetLevel:
-    level = run_to_end(simplify_by_cost(mesh, None, [target], TexmeshSettings(drastic_simplification=drastic, drastic_size=size))).levels[0]
+    chosen = TexmeshSettings(vertices="original", drastic_simplification=drastic, drastic_size=size)
+    level = run_to_end(simplify_by_cost(mesh, None, [target], chosen)).levels[0]
     check_subset(mesh, level)
     if mesh.attributes.shape[1] == 0:
         check_no_flips(mesh, level)
@@ -125,7 +126,10 @@ def test_vertices_where_surfaces_cross_are_locked_until_they_are_unlocked():
 
 def test_crossing_surfaces_are_divided_where_they_continue_straight():
     mesh = crossing_planes()
-    divided, sources, is_touched = divide_into_surfaces(mesh)
+    found = divide_into_surfaces(mesh)
+    divided, sources, is_touched = found.mesh, found.fine_vertices, found.is_touching
+    np.testing.assert_array_equal(divided.uvs, mesh.uvs[found.fine_wedges])
+    np.testing.assert_array_equal(divided.wedge_vertices[divided.wedge_triangles], divided.triangles)
     assert len(divided.vertices) == len(mesh.vertices) + 9 and is_touched.sum() == 18
     np.testing.assert_array_equal(divided.vertices, mesh.vertices[sources])
     np.testing.assert_array_equal(sources[divided.triangles], mesh.triangles)
@@ -138,6 +142,7 @@ def test_crossing_surfaces_are_divided_where_they_continue_straight():
 
 def test_manifold_meshes_are_not_divided():
     mesh = torus(12, 8, 3)
-    divided, sources, is_touched = divide_into_surfaces(mesh)
-    assert divided is mesh and not is_touched.any()
-    np.testing.assert_array_equal(sources, np.arange(len(mesh.vertices)))
+    found = divide_into_surfaces(mesh)
+    assert found.mesh is mesh and not found.is_touching.any() and not found.is_reversed.any()
+    np.testing.assert_array_equal(found.fine_vertices, np.arange(len(mesh.vertices)))
+    np.testing.assert_array_equal(found.fine_wedges, np.arange(len(mesh.uvs)))

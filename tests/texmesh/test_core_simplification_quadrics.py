@@ -7,18 +7,19 @@ from farfield.addon.core.geometry.distance import closest_on_mesh
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.settings import TexmeshSettings
-from farfield.addon.core.texmesh.simplification.collapse_fans import CollapseFans
+from farfield.addon.core.texmesh.simplification.engine import CollapseEngine, WedgeMoves
 from farfield.addon.core.texmesh.simplification.levels import simplify_by_cost, simplify_in_order
 from farfield.addon.core.texmesh.simplification.removal_orders import LENGTH_WEIGHT, TextureQuadrics
-from farfield.addon.core.texmesh.simplification.topology import Collapses, build_topology
+from farfield.addon.core.texmesh.simplification.topology import Collapses
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 from textured_models import plane, torus
 
 
-def collapses_of(mesh: TexturedMesh, vertices: np.ndarray) -> Collapses:
-    groups = np.arange(len(mesh.uvs))
-    triangles, wedges = (np.ascontiguousarray(array.T) for array in (mesh.triangles, mesh.wedge_triangles))
-    return build_topology(triangles, wedges, groups, np.zeros(len(mesh.vertices), bool)).find_collapses(vertices, groups)[1]
+def rate(mesh: TexturedMesh, vertices: np.ndarray) -> tuple[Collapses, np.ndarray]:
+    """Return the collapses of `vertices` and their costs."""
+    engine = CollapseEngine(mesh)
+    collapses = engine.topology.find_collapses(vertices, engine.groups)[1]
+    return collapses, TextureQuadrics(mesh).evaluate(collapses, engine.find_moves(collapses))
 
 
 def center_of(mesh: TexturedMesh, x: float, y: float) -> np.ndarray:
@@ -27,10 +28,10 @@ def center_of(mesh: TexturedMesh, x: float, y: float) -> np.ndarray:
 
 def test_collapses_within_a_plane_cost_nothing_but_their_length():
     mesh = plane(6, 6)
-    collapses = collapses_of(mesh, center_of(mesh, 3.0, 3.0))
+    collapses, costs = rate(mesh, center_of(mesh, 3.0, 3.0))
     squares = ((mesh.vertices[collapses.removed] - mesh.vertices[collapses.kept]) ** 2).sum(axis=1) / 6.0**2
     assert len(squares) == 6
-    np.testing.assert_allclose(TextureQuadrics(mesh).evaluate(collapses), LENGTH_WEIGHT * squares / 36.0, rtol=1e-6, atol=1e-15)
+    np.testing.assert_allclose(costs, LENGTH_WEIGHT * squares / 36.0, rtol=1e-6, atol=1e-15)
 
 
 def test_the_cost_of_leaving_a_plane_is_the_squared_height_by_area():
@@ -39,10 +40,8 @@ def test_the_cost_of_leaving_a_plane_is_the_squared_height_by_area():
     heights[3, 4] = 1e-3
     mesh = plane(6, 6, heights)
     neighbor, peak = center_of(mesh, 2.0, 3.0), center_of(mesh, 4.0, 3.0)
-    collapses = collapses_of(mesh, center_of(mesh, 3.0, 3.0))
-    quadrics = TextureQuadrics(mesh)
-    flat = quadrics.evaluate(collapses)[collapses.kept == neighbor]
-    onto_peak = quadrics.evaluate(collapses)[collapses.kept == peak]
+    collapses, costs = rate(mesh, center_of(mesh, 3.0, 3.0))
+    flat, onto_peak = costs[collapses.kept == neighbor], costs[collapses.kept == peak]
     # Four of six triangles of 1/2 at the vertex are flat, each counts by a third of its area; of the peak's own, all contain it.
     height, area = 1e-3 / 6.0, 0.5 / 36.0
     assert onto_peak[0] - flat[0] == pytest.approx(4 * height**2 * area / 3.0, rel=0.5)
@@ -55,8 +54,7 @@ def test_seams_straighten_only_where_they_are_straight():
     tooth = (centers[:, 1] < 5.0) & (np.abs(centers[:, 0] - 4.0) < 1.0)
     uvs = mesh.corner_uvs + ((centers[:, 1] < 4.0) | tooth)[:, None, None]
     mesh = build_textured_mesh(TriangleMesh(mesh.vertices, mesh.triangles), uvs)
-    quadrics = TextureQuadrics(mesh)
-    straight, tip = (quadrics.evaluate(collapses_of(mesh, center_of(mesh, *at))).min() for at in ((1.0, 4.0), (5.0, 5.0)))
+    straight, tip = (rate(mesh, center_of(mesh, *at))[1].min() for at in ((1.0, 4.0), (5.0, 5.0)))
     assert tip > 100.0 * straight
 
 
@@ -78,18 +76,19 @@ class HeightCost:
     def __init__(self, mesh: TexturedMesh) -> None:
         self.heights, self.merged = mesh.vertices[:, 2], 0
 
-    def evaluate(self, collapses: Collapses) -> np.ndarray:
+    def evaluate(self, collapses: Collapses, _moves: WedgeMoves) -> np.ndarray:
         is_allowed = self.heights[collapses.kept] > self.heights[collapses.removed]
         return np.where(is_allowed, self.heights[collapses.removed] + 10.0, np.inf)
 
-    def merge(self, collapses: Collapses, fans: CollapseFans) -> None:
+    def merge(self, collapses: Collapses, _moves: WedgeMoves) -> None:
         self.merged += len(collapses.removed)
 
 
 def test_a_given_cost_decides_about_order_and_direction():
     mesh = torus(islands=1)
     cost = HeightCost(mesh)
-    result = run_to_end(simplify_by_cost(mesh, cost, [len(mesh.triangles) * 3 // 4], TexmeshSettings(drastic_simplification=False)))
+    chosen = TexmeshSettings(drastic_simplification=False)
+    result = run_to_end(simplify_by_cost(mesh, lambda *_: cost, [len(mesh.triangles) * 3 // 4], chosen))
     heights = mesh.vertices[:, 2]
     assert cost.merged == len(result.removed) and result.levels[0].constraint == ""
     assert (heights[result.kept] > heights[result.removed]).all()

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import SettingsError
-from ..geometry.transforms import signed_areas
 from ..jobs.parallel_steps import run_in_parallel
 from ..jobs.progress import Steps
 from .perception.weber import Collapses
@@ -76,7 +75,7 @@ def make_candidates(mesh: TexturedMesh, scale_map: ScaleMap, ratios: Sequence[fl
         targets, scales = [], []
     else:
         targets, scales = targets_of_ratios(mesh, scale_map, ratios) if ratios else choose_targets(mesh, scale_map)
-    is_optimized = settings.vertices == "optimized" and bool(signed_areas(mesh.corner_uvs).any())  # without UV area, nothing can be fitted
+    is_optimized = settings.vertices == "optimized"
     tasks: list[Steps] = [_simplify(mesh, scale_map, targets, settings)]
     if is_optimized:
         tasks.append(make_starts(mesh, targets, settings))
@@ -92,7 +91,9 @@ def make_candidates(mesh: TexturedMesh, scale_map: ScaleMap, ratios: Sequence[fl
 def _simplify(mesh: TexturedMesh, scale_map: ScaleMap, targets: list[int], settings: TexmeshSettings) -> Steps[Simplification]:
     if settings.removal_order == "scale":
         return simplify_in_order(mesh, _priorities(scale_map), targets, settings)
-    return simplify_by_cost(mesh, ScaleWeightedQuadrics(mesh, scale_map), targets, settings)
+    return simplify_by_cost(
+        mesh, lambda divided, vertices: ScaleWeightedQuadrics(divided, scale_map.last_scales[vertices]), targets, settings
+    )
 
 
 def _priorities(scale_map: ScaleMap) -> np.ndarray:

@@ -1,6 +1,7 @@
-"""Points on the fine mesh, uniform by area, and the points of a level that have their texture coordinates.
+"""Points on the fine mesh, uniform by area, and the points of a level that correspond to them.
 
-Triangles in UV space are searched for those that contain texture coordinates or are nearest to them.
+These have the same texture coordinates where the level has them near the sample. Elsewhere, they are the nearest ones in space: where a
+seam has moved, an island is gone, or texture coordinates have no area.
 """
 
 from collections.abc import Iterator
@@ -16,6 +17,7 @@ from ...geometry.mesh import face_areas_and_normals
 from ...geometry.proximity import counting_argsort
 from ...geometry.transforms import signed_areas
 from ...jobs.chunks import slices
+from ..simplification.topology import find_islands
 from ..textured_mesh import TexturedMesh
 
 LABEL_POINTS = np.array([[1.0, 1.0, 1.0], [4.0, 1.0, 1.0], [1.0, 4.0, 1.0], [1.0, 1.0, 4.0]])
@@ -24,6 +26,8 @@ CHUNK_POINTS = 1 << 14
 CELLS_PER_TRIANGLE = 2.0
 MAX_CELLS = 1 << 22
 INSIDE_TOLERANCE = 1e-9  # Tolerance of barycentric coordinates.
+NEAR_EDGES = 0.5  # Points that are farther from where their texture is, in edge lengths of the level, correspond to the nearest ones.
+UNTEXTURED = -1  # in place of the island of triangles whose texture coordinates have no area
 LAYER_SPACING = 16.0  # Distance of UV islands in the third coordinate, relative to the largest texture coordinate.
 
 
@@ -168,7 +172,7 @@ class SurfaceSamples:
         barycentric: (N, 3) float64.
         positions: (N, 3) float64, in the space of the mesh.
         uvs: (N, 2) float64.
-        islands: (N,) int32, the UV islands of `find_islands`.
+        islands: (N,) int32, the UV islands of `find_textured_islands`.
         weights: (N,) float64, the areas that the samples stand for.
     """
 
@@ -190,8 +194,10 @@ def sample_surface(
 ) -> SurfaceSamples:
     """Return about `count` points on the mesh, uniform by 3D area; equal areas get equal numbers of points, rounded up or down.
 
-    islands: (T,) from `find_islands`. triangle_fraction: of the points, those that are divided evenly among the triangles, however small.
-    Then the points stand for different areas.
+    Args:
+        islands: (T,) from `find_textured_islands`.
+        triangle_fraction: of the points, those that are divided evenly among the triangles, however small. Then the points stand for
+            different areas.
     """
     areas, _ = face_areas_and_normals(mesh.vertices[mesh.triangles])
     expected = count * ((1.0 - triangle_fraction) * areas / areas.sum() + triangle_fraction / len(areas))
@@ -235,16 +241,25 @@ def _reverse_bits(numbers: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Correspondence:
-    """For each of N samples the point of a level with the same texture coordinates.
+    """For each of N samples the point of a level that corresponds to it.
 
-    triangles: (N,) int64 of the level. barycentric: (N, 3) float64, none negative, column by column in memory.
-    is_covered: (N,) bool; where False the level has no point with these coordinates in the sample's UV island, and the point is the one
-    with the nearest coordinates there.
+    Attributes:
+        triangles: (N,) int64 of the level.
+        barycentric: (N, 3) float64, none negative, column by column in memory.
+        is_covered: (N,) bool; where False the level has no point with these coordinates in the sample's UV island, and the point is the one
+            with the nearest coordinates there, or the nearest one in space.
+        is_spatial: (N,) bool, where it is the nearest one in space.
     """
 
     triangles: np.ndarray
     barycentric: np.ndarray
     is_covered: np.ndarray
+    is_spatial: np.ndarray
+
+
+def find_textured_islands(mesh: TexturedMesh) -> np.ndarray:
+    """Return the UV island (T,) int32 of each triangle, UNTEXTURED for those whose texture coordinates have no area."""
+    return np.where(signed_areas(mesh.corner_uvs) != 0.0, find_islands(mesh), UNTEXTURED).astype(np.int32)
 
 
 def match_islands(samples: SurfaceSamples, materials: np.ndarray, level: TexturedMesh, uv_scale: float) -> np.ndarray:
@@ -275,7 +290,7 @@ def compute_uv_scale(mesh: TexturedMesh) -> float:
 def find_correspondence(
     samples: SurfaceSamples, corners: np.ndarray, corner_uvs: np.ndarray, islands: np.ndarray, guess: np.ndarray | None = None
 ) -> Correspondence:
-    """Find the points of a level with the texture coordinates of `samples`; of several in the same island the nearest in space.
+    """Find the points of a level that correspond to `samples`; of several in the same island the nearest in space.
 
     corners: (T, 3, 3) positions of the level. corner_uvs: (T, 3, 2). islands: (T,) from `match_islands`. guess: (N,) triangles, which are
     kept for the samples that they contain: those found before a small change of the level.
@@ -290,12 +305,12 @@ def find_in_triangles(
     count = len(samples.uvs)
     triangles = np.full(count, -1, np.int64)
     barycentric = np.zeros((3, count)).T  # column by column in memory, as it is used
-    rows = np.arange(count)
+    is_textured = samples.islands != UNTEXTURED
     if guess is not None:
         is_kept, coordinates = uv_triangles.locate(guess, samples.uvs)
         kept = np.flatnonzero(is_kept & (uv_triangles.islands[guess] == samples.islands))
         triangles[kept], barycentric[kept] = guess[kept], coordinates[kept]
-        rows = np.flatnonzero(triangles < 0)
+    rows = np.flatnonzero(is_textured & (triangles < 0))
     for found, triangle, coordinates in uv_triangles.find_containing(samples.uvs[rows], samples.islands[rows]):
         sample = rows[found]
         points = np.einsum("ni,nic->nc", coordinates, corners[triangle])
@@ -303,7 +318,35 @@ def find_in_triangles(
         chosen = segment_argmin(distances, np.flatnonzero(np.diff(sample, prepend=-1)))
         triangles[sample[chosen]], barycentric[sample[chosen]] = triangle[chosen], coordinates[chosen]
     is_covered = triangles >= 0
-    outside = np.flatnonzero(~is_covered)
-    if len(outside):
-        triangles[outside], barycentric[outside] = uv_triangles.find_nearest(samples.uvs[outside], samples.islands[outside])
-    return Correspondence(triangles, barycentric, is_covered)
+    is_spatial = ~is_textured
+    rows = np.flatnonzero(~is_covered & is_textured)
+    if len(rows):
+        triangles[rows], barycentric[rows] = uv_triangles.find_nearest(samples.uvs[rows], samples.islands[rows])
+    _find_in_space(samples.positions, corners, triangles, barycentric, is_covered, is_spatial)
+    return Correspondence(triangles, barycentric, is_covered, is_spatial)
+
+
+def _find_in_space(
+    points: np.ndarray,
+    corners: np.ndarray,
+    triangles: np.ndarray,
+    barycentric: np.ndarray,
+    is_covered: np.ndarray,
+    is_spatial: np.ndarray,
+) -> None:
+    """Let `points` (N, 3) that `is_spatial`, and those that are not covered and far from their corresponding points, correspond to the
+    nearest ones in space; change the other arrays in place."""
+    rows = np.flatnonzero(~is_covered & ~is_spatial)
+    distances = np.linalg.norm(np.einsum("ni,nic->nc", barycentric[rows], corners[triangles[rows]]) - points[rows], axis=1)
+    areas = face_areas_and_normals(corners)[0]
+    is_far = distances > NEAR_EDGES * np.sqrt(areas.mean())
+    rows, distances = rows[is_far], distances[is_far]
+    sought = np.concatenate([np.flatnonzero(is_spatial), rows])
+    if not len(sought):
+        return
+    limits = np.concatenate([np.full(len(sought) - len(rows), np.inf), distances])
+    found, nearest = TriangleTree(corners).find_closest(points[sought])
+    is_nearer = found < limits
+    sought, nearest = sought[is_nearer], nearest[is_nearer]
+    is_spatial[sought] = True
+    triangles[sought], barycentric[sought] = nearest, closest_barycentric(points[sought], corners[nearest])

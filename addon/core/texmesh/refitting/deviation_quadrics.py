@@ -15,6 +15,7 @@ import numpy as np
 from ...geometry.edges import halfedge_ends
 from ...geometry.mesh import face_areas_and_normals
 from ...geometry.transforms import signed_areas
+from ..simplification.engine import WedgeMoves
 from ..simplification.topology import Collapses
 from ..simplification.wedge_quadrics import COLUMNS, ROWS, WedgeQuadrics
 from ..textured_mesh import TexturedMesh
@@ -33,8 +34,8 @@ class DeviationQuadrics(WedgeQuadrics):
     def __init__(self, mesh: TexturedMesh, normal_weight: float) -> None:
         uv_scale = compute_uv_scale(mesh)
         points = np.column_stack([mesh.vertices[mesh.wedge_vertices], uv_scale * mesh.uvs])
-        self._points = points - points.mean(axis=0)
-        super().__init__(self._points)
+        center = points.mean(axis=0)
+        super().__init__(points - center, mesh.vertices - center[:3])
         areas, normals = face_areas_and_normals(mesh.vertices[mesh.triangles])
         self._areas = np.bincount(mesh.wedge_triangles.ravel(), np.repeat(areas, 3) / 3.0, len(points))
         rows = _deviation_rows(self._points[mesh.wedge_triangles], normals, normal_weight)
@@ -42,13 +43,13 @@ class DeviationQuadrics(WedgeQuadrics):
         for corner in range(3):
             np.add.at(self._quadrics, mesh.wedge_triangles[:, corner], terms)
         self._add_borders(mesh)
-        self._borders = BorderDeviations(mesh)
+        self._borders = BorderDeviations(mesh, self._points)
         self.finish()
 
-    def evaluate(self, collapses: Collapses) -> np.ndarray:
+    def evaluate(self, collapses: Collapses, moves: WedgeMoves) -> np.ndarray:
         """See `CollapseCost`."""
         (removed, _), (kept, _) = collapses.removed_wedges, collapses.kept_wedges
-        costs = self.evaluate_wedges(collapses)
+        costs = self.evaluate_wedges(collapses, moves)
         costs += DEVIATION_WEIGHT * self._borders.evaluate(removed, kept)
         lengths = ((self._points[removed, :3] - self._points[kept, :3]) ** 2).sum(axis=1)
         return costs + LENGTH_WEIGHT * self._areas[removed] * lengths
@@ -105,11 +106,12 @@ class BorderDeviations:
     Wedges are those of the fine mesh. Wedges where borders cross or end have no neighbors.
     """
 
-    def __init__(self, mesh: TexturedMesh) -> None:
+    def __init__(self, mesh: TexturedMesh, points: np.ndarray) -> None:
+        """points: (W, 3 or more), whose first columns are the positions of the wedges, which may change."""
         halfedges, _ = find_border_halfedges(mesh)
         starts, ends = halfedge_ends(mesh.wedge_triangles, halfedges).T
         count = len(mesh.uvs)
-        self._points = mesh.vertices[mesh.wedge_vertices]
+        self._points = points[:, :3]
         self._following, self._preceding = np.full(count, -1), np.full(count, -1)
         self._following[starts], self._preceding[ends] = ends, starts
         is_crossing = (np.bincount(starts, minlength=count) > 1) | (np.bincount(ends, minlength=count) > 1)

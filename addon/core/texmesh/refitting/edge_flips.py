@@ -73,7 +73,7 @@ def find_quads(state: LevelState, is_wanted: np.ndarray | None = None) -> Quads:
     areas = signed_areas(uvs[:, NEW_TRIANGLES])
     old = signed_areas(uvs[:, [[0, 1, 3], [2, 3, 1]]])
     sign = np.sign(old.sum(axis=1))
-    is_valid &= (areas * sign[:, None] > MIN_UV_FRACTION * np.abs(old.sum(axis=1))[:, None]).all(axis=1)
+    is_valid &= (areas * sign[:, None] > MIN_UV_FRACTION * np.abs(old.sum(axis=1))[:, None]).all(axis=1) | (sign == 0.0)
     _, normals = state.areas_and_normals
     mean = normals[t] + normals[s]
     mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), TINY)
@@ -117,35 +117,61 @@ def select_largest(gains: np.ndarray, triangles: np.ndarray, count: int) -> np.n
 def _compute_gains(state: LevelState, quads: Quads) -> tuple[np.ndarray, np.ndarray]:
     """Return by how much the flip of each quad lowers the cost (K,), and its present cost (K,)."""
     first, second = quads.triangles.T
-    uvs, points, normals = state.mesh.uvs[quads.wedges], state.mesh.vertices[quads.vertices], quads.normals
     count = len(state.islands)
     costs = np.bincount(state.found.triangles, state.costs, count)
     order = counting_argsort(state.found.triangles, count)
     sizes = np.bincount(state.found.triangles, minlength=count)
     starts = np.cumsum(sizes) - sizes
-    new_triangles = uvs[:, NEW_TRIANGLES].reshape(-1, 3, 2)
-    maps, places = invert_uv_maps(new_triangles), points[:, NEW_TRIANGLES].reshape(-1, 3, 3)
-    diagonal = uvs[:, 2] - uvs[:, 0]
-    side = np.sign(signed_areas(uvs[:, [0, 1, 2]]))
-    offset = cross(diagonal, uvs[:, 0])
+    axes = _find_tangents(quads.normals)
+    points = state.mesh.vertices[quads.vertices]
+    flat_quads, uv_quads = np.einsum("kci,kai->kca", points, axes), state.mesh.uvs[quads.wedges]
     total = np.zeros(len(first))
     for triangle in (first, second):
         quad = np.repeat(np.arange(len(first)), sizes[triangle])
         sample = order[concatenate_ranges(starts[triangle], sizes[triangle])]
-        u, v = state.samples.uvs.take(sample, axis=0).T
-        across = diagonal[:, 0].take(quad) * v - diagonal[:, 1].take(quad) * u - offset.take(quad)
-        triangles = 2 * quad + (across * side.take(quad) > 0.0)
-        weights = evaluate_uv_maps(maps, triangles, u, v)
-        np.maximum(weights, 0.0, out=weights)  # for samples that the level does not cover
-        weights /= np.maximum(weights.sum(axis=0), TINY)
-        squares, along = np.zeros(len(quad)), np.zeros(len(quad))
-        for axis in range(3):
-            residual = -state.samples.positions[:, axis].take(sample)
-            for corner in range(3):
-                residual += weights[corner] * places[:, corner, axis].take(triangles)
-            squares += residual**2
-            along += residual * normals[:, axis].take(quad)
-        cost = state.samples.weights.take(sample) * (squares + (state.normal_weight - 1.0) * along**2)
-        total += np.bincount(quad, cost, len(first))
+        is_spatial = state.found.is_spatial[sample]
+        rows, samples = quad[~is_spatial], sample[~is_spatial]
+        total += _sum_costs(state, quads, uv_quads, rows, samples, state.samples.uvs.take(samples, axis=0))
+        rows, samples = quad[is_spatial], sample[is_spatial]
+        if len(rows):
+            places = np.einsum("ni,nai->na", state.samples.positions[samples], axes[rows])
+            total += _sum_costs(state, quads, flat_quads, rows, samples, places)
     present = costs[first] + costs[second]
     return present - total, present
+
+
+def _sum_costs(
+    state: LevelState, quads: Quads, corners: np.ndarray, rows: np.ndarray, samples: np.ndarray, places: np.ndarray
+) -> np.ndarray:
+    """Return the costs (K,) of pairs of one of the quads `rows` (N,) and one of `samples` (N,) after the flips.
+
+    corners: (K, 4, 2) of the quads in a plane: UV space, or their own. places: (N, 2) of the samples there.
+    """
+    new_triangles = corners[:, NEW_TRIANGLES].reshape(-1, 3, 2)
+    maps, points = invert_uv_maps(new_triangles), state.mesh.vertices[quads.vertices][:, NEW_TRIANGLES].reshape(-1, 3, 3)
+    diagonal = corners[:, 2] - corners[:, 0]
+    side = np.sign(signed_areas(corners[:, [0, 1, 2]]))
+    offset = cross(diagonal, corners[:, 0])
+    u, v = places.T
+    across = diagonal[:, 0].take(rows) * v - diagonal[:, 1].take(rows) * u - offset.take(rows)
+    triangles = 2 * rows + (across * side.take(rows) > 0.0)
+    weights = evaluate_uv_maps(maps, triangles, u, v)
+    np.maximum(weights, 0.0, out=weights)  # for samples that the level does not cover
+    weights /= np.maximum(weights.sum(axis=0), TINY)
+    squares, along = np.zeros(len(rows)), np.zeros(len(rows))
+    for axis in range(3):
+        residual = -state.samples.positions[:, axis].take(samples)
+        for corner in range(3):
+            residual += weights[corner] * points[:, corner, axis].take(triangles)
+        squares += residual**2
+        along += residual * quads.normals[:, axis].take(rows)
+    costs = state.samples.weights.take(samples) * (squares + (state.normal_weight - 1.0) * along**2)
+    return np.bincount(rows, costs, len(corners))
+
+
+def _find_tangents(normals: np.ndarray) -> np.ndarray:
+    """Return two unit vectors (K, 2, 3) that are perpendicular to each of unit `normals` (K, 3) and to each other."""
+    helpers = np.eye(3)[np.abs(normals).argmin(axis=1)]
+    first = np.cross(normals, helpers)
+    first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), TINY)
+    return np.stack([first, np.cross(normals, first)], axis=1)

@@ -9,7 +9,7 @@ from scipy.sparse import csr_array
 from ...geometry.edges import Edges, find_edges
 from ...geometry.mesh import face_areas_and_normals
 from ..textured_mesh import TexturedMesh
-from .correspondence import Correspondence, SurfaceSamples, find_correspondence
+from .correspondence import UNTEXTURED, Correspondence, SurfaceSamples, find_correspondence
 
 
 @dataclass(frozen=True)
@@ -82,14 +82,15 @@ class LevelState:
         moved = np.flatnonzero(sample_groups >= 0)
         rows = groups.ravel()
         found = find_correspondence(
-            self.samples.take(moved, sample_groups[moved]),
+            self.samples.take(moved, np.where(self.found.is_spatial[moved], UNTEXTURED, sample_groups[moved])),
             mesh.vertices[mesh.triangles[rows]],
             mesh.corner_uvs[rows],
             group_of[rows],
         )
         triangles, barycentric = self.found.triangles.copy(), self.found.barycentric.copy("F")
-        triangles[moved], barycentric[moved] = rows[found.triangles], found.barycentric
-        return replace(self, mesh=mesh, found=replace(self.found, triangles=triangles, barycentric=barycentric))
+        is_spatial = self.found.is_spatial.copy()
+        triangles[moved], barycentric[moved], is_spatial[moved] = rows[found.triangles], found.barycentric, found.is_spatial
+        return replace(self, mesh=mesh, found=Correspondence(triangles, barycentric, self.found.is_covered, is_spatial))
 
 
 def attach(

@@ -100,6 +100,7 @@ def _attract(state: LevelState, measured: LevelDistances) -> LevelState:
             np.concatenate([found.triangles, measured.triangles]),
             np.concatenate([found.barycentric, measured.barycentric]),
             np.concatenate([found.is_covered, np.ones(count, bool)]),
+            np.concatenate([found.is_spatial, np.ones(count, bool)]),
         ),
         state.normal_weight,
     )

@@ -15,9 +15,8 @@ from ...arrays import TINY, find_last_positions
 from ...geometry.distance import TriangleTree, closest_barycentric, squared_point_triangle_distances
 from ...geometry.edges import Edges
 from ...geometry.mesh import face_areas_and_normals, longest_side
-from ..simplification.topology import find_islands
 from ..textured_mesh import TexturedMesh
-from .correspondence import Correspondence, SurfaceSamples, UvTriangles, find_in_triangles
+from .correspondence import Correspondence, SurfaceSamples, UvTriangles, find_in_triangles, find_textured_islands
 from .level_state import LevelState
 
 LIMIT_FACTOR = 4.5  # Points farther than this multiple of the root mean squared distance are outliers.
@@ -38,7 +37,7 @@ class FineSurface:
     @classmethod
     def of(cls, mesh: TexturedMesh) -> Self:
         """Return the surface of a mesh."""
-        return cls(mesh, find_islands(mesh))
+        return cls(mesh, find_textured_islands(mesh))
 
     def find_closest(self, points: np.ndarray, enough: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Return the distances (N,) of `points` (N, 3) from the surface, and the nearest triangles (N,). Distances up to `enough`, one or

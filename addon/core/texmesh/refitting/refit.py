@@ -60,9 +60,8 @@ TUNING = Tuning()
 
 def make_starts(fine: TexturedMesh, targets: list[int], settings: TexmeshSettings) -> Steps[tuple[SubsetLevel, ...]]:
     """Return the subset levels from which refits start, see `make_refit_levels`."""
-    cost = DeviationQuadrics(fine, TUNING.normal_weight)
     counts = [max(round((1.0 - TUNING.split_fraction) * target), 1) for target in targets]
-    return (yield from simplify_by_cost(fine, cost, counts, settings)).levels
+    return (yield from simplify_by_cost(fine, lambda mesh, _: DeviationQuadrics(mesh, TUNING.normal_weight), counts, settings)).levels
 
 
 def refit_starts(

@@ -31,7 +31,7 @@ class CollapseFans:
         corners: (P,) int32, halfedges that begin at the removed vertices.
         following, preceding: (P,) int32, the other two vertices of their triangles.
         vanishes: (P,) bool, whether a triangle contains the kept vertex, too.
-        wedges: (P,) int32, the wedge of the kept vertex that replaces that of the removed one.
+        wedges: (P,) int32, the wedge that the corner gets, see `replace_wedges`.
     """
 
     topology: Topology
@@ -89,9 +89,6 @@ class CollapseFans:
 def build_fans(topology: Topology, collapses: Collapses, groups: np.ndarray, attributes: np.ndarray) -> CollapseFans:
     """Return the fans of `collapses`.
 
-    The corners on each side of a seam get the kept vertex's wedge on the same side. Where the two wedges differ only by attributes, inside
-    of a group, corners get the one whose attributes are closer.
-
     Args:
         groups: (W,) int32 of wedges between which there are no seams. attributes: (W, A).
     """
@@ -99,16 +96,6 @@ def build_fans(topology: Topology, collapses: Collapses, groups: np.ndarray, att
     following = topology.ends[corners]
     preceding = topology.starts[topology.previous(corners)]
     kept = collapses.kept[owners]
-    current = topology.wedges[corners]
-    wedges, second = collapses.kept_wedges[:, owners]
-    removed_first, removed_second = collapses.removed_wedges[:, owners]
-    has_choice = (second >= 0) & (wedges != second)
-    is_seam = groups[removed_first] != groups[np.maximum(removed_second, 0)]
-    use_second = has_choice & is_seam & (groups[current] != groups[removed_first])
-    rows = np.flatnonzero(has_choice & ~is_seam)
-    if len(rows):
-        distances = [np.abs(attributes[side[rows]] - attributes[current[rows]]).sum(axis=1) for side in (wedges, second)]
-        use_second[rows] = distances[1] < distances[0]
     return CollapseFans(
         topology=topology,
         collapses=collapses,
@@ -117,8 +104,30 @@ def build_fans(topology: Topology, collapses: Collapses, groups: np.ndarray, att
         following=following,
         preceding=preceding,
         vanishes=(following == kept) | (preceding == kept),
-        wedges=np.where(use_second, second, wedges),
+        wedges=replace_wedges(collapses, owners, topology.wedges[corners], groups, attributes),
     )
+
+
+def replace_wedges(collapses: Collapses, owners: np.ndarray, wedges: np.ndarray, groups: np.ndarray, attributes: np.ndarray) -> np.ndarray:
+    """Return the wedges (P,) at the kept vertices of `collapses` that replace `wedges` (P,) of their removed vertices.
+
+    On each side of a seam it is the kept vertex's wedge on that side. Where the two wedges differ only by attributes, inside of a group, it
+    is the one whose attributes are closer. A wedge that is on neither side of the edge moves to the kept vertex, with its texture
+    coordinates.
+
+    Args:
+        owners: (P,) int32 into the collapses. groups, attributes: see `build_fans`.
+    """
+    first, second = collapses.kept_wedges[:, owners]
+    removed_first, removed_second = collapses.removed_wedges[:, owners]
+    own_groups = groups[wedges]
+    is_first = own_groups == groups[removed_first]
+    is_second = (removed_second >= 0) & (own_groups == groups[np.maximum(removed_second, 0)])
+    rows = np.flatnonzero(is_first & is_second & (first != second))
+    if len(rows):
+        distances = [np.abs(attributes[side[rows]] - attributes[wedges[rows]]).sum(axis=1) for side in (first, second)]
+        is_first[rows[distances[1] < distances[0]]] = False
+    return np.where(is_first, first, np.where(is_second, second, wedges))
 
 
 def find_compatible(fans: CollapseFans) -> np.ndarray:
@@ -170,11 +179,12 @@ class Relaxation:
     """What is allowed in drastic simplification.
 
     small_size: length of the longest edge up to which a triangle may fold over. drops_islands: whether the last triangle of an island may
-    vanish between two others.
+    vanish between two others. crosses_seams: whether collapses may change seams in any way.
     """
 
     small_size: float = 0.0
     drops_islands: bool = False
+    crosses_seams: bool = False
 
 
 def find_refusals(fans: CollapseFans, surface: Surface, orientations: np.ndarray, relaxation: Relaxation) -> np.ndarray:
@@ -186,7 +196,8 @@ def find_refusals(fans: CollapseFans, surface: Surface, orientations: np.ndarray
     reasons = np.zeros(len(fans.collapses.removed), np.uint8)
     reasons[_folds(fans, surface, relaxation)] = FOLD
     reasons[_flips(fans, surface, orientations)] = FLIP
-    reasons[_shortens_curve(fans, relaxation)] = SHORT_CURVE
+    if not relaxation.crosses_seams:
+        reasons[_shortens_curve(fans, relaxation)] = SHORT_CURVE
     reasons[_breaks_topology(fans)] = TOPOLOGY
     return reasons
 

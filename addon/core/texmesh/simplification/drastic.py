@@ -11,7 +11,7 @@ import numpy as np
 from ...geometry.mesh import face_areas_and_normals
 from ..settings import TexmeshSettings
 from .collapse_fans import measure_uv_quality
-from .engine import CollapseEngine
+from .engine import CollapseEngine, group_by_texture
 from .topology import BOUNDARY, label_connected
 
 MAX_LOCKED_FRACTION = 0.25  # If more of the vertices of a level are locked, what can be unlocked is unlocked before all others are gone.
@@ -53,6 +53,7 @@ class DrasticSteps:
             self._drop_smallest_components,
             self._fold_small_triangles,
             self._fold_larger_triangles,
+            self._fold_all_triangles,
             self._drop_components,
             self._drop_islands,
         )
@@ -88,15 +89,14 @@ class DrasticSteps:
     def _fold_larger_triangles(self, size: float) -> bool:
         return self._fold_small_triangles(LARGER_FACTOR * size)
 
+    def _fold_all_triangles(self, size: float) -> bool:
+        return self._fold_small_triangles(np.inf)
+
     def _unlock_attributes(self, size: float) -> bool:
         """Keep only seams of texture coordinates and materials."""
         engine = self._engine
         before = engine.topology.is_removable
-        mesh = engine.mesh
-        materials = np.zeros(len(mesh.uvs))
-        materials[mesh.wedge_triangles.reshape(-1)] = np.repeat(mesh.materials, 3)
-        keys = np.concatenate([mesh.wedge_vertices[:, None], materials[:, None], mesh.uvs], axis=1)
-        groups = np.unique(keys + 0.0, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int32)
+        groups = group_by_texture(engine.mesh)
         if np.array_equal(engine.groups, groups) or len(np.unique(groups)) == len(groups):
             return False
         engine.groups = groups
@@ -106,7 +106,7 @@ class DrasticSteps:
 
     def _free_seam_ends(self, size: float) -> bool:
         engine = self._engine
-        if engine.frees_ends:
+        if engine.frees_ends or engine.crosses_seams:
             return False
         before = engine.topology.is_removable
         engine.frees_ends = True
@@ -124,7 +124,7 @@ class DrasticSteps:
         return count > 0
 
     def _drop_islands(self, size: float) -> bool:
-        if self._engine.relaxation.drops_islands:
+        if self._engine.relaxation.drops_islands or self._engine.crosses_seams:
             return False
         self._engine.relaxation = replace(self._engine.relaxation, drops_islands=True)
         return self._engine.retry(is_forced=True)
@@ -152,13 +152,7 @@ class DrasticSteps:
         if not is_closed.any():
             return False
         self._closed_holes += np.count_nonzero(is_closed)
-        neighbors = neighbors[is_closed]
-        engine.replace(
-            np.concatenate([engine.triangles, vertices[:, is_closed]], axis=1),
-            np.concatenate([engine.wedges, wedges[:, is_closed]], axis=1),
-            np.concatenate([engine.materials, engine.materials[neighbors]]),
-            np.concatenate([engine.orientations, signs[is_closed]]),
-        )
+        engine.add_triangles(vertices[:, is_closed], wedges[:, is_closed], neighbors[is_closed])
         return True
 
     def _drop_smallest_components(self, size: float) -> bool:
@@ -183,10 +177,5 @@ class DrasticSteps:
         is_kept = ~np.isin(labels, dropped)
         self._dropped_components += len(dropped)
         self._dropped_triangles += np.count_nonzero(~is_kept)
-        engine.replace(
-            np.compress(is_kept, engine.triangles, axis=1),
-            np.compress(is_kept, engine.wedges, axis=1),
-            engine.materials[is_kept],
-            engine.orientations[is_kept],
-        )
+        engine.keep_triangles(is_kept)
         return True

@@ -5,11 +5,12 @@ collapses onto the first of its neighbors that the guards accept. A vertex that 
 For each collapse it is recorded how much it is seen (section IV.B of the paper).
 """
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from ...arrays import TINY
+from ...arrays import TINY, concatenate_ranges
 from ...geometry.collapses import select_independent
 from ...geometry.mesh import vertex_normals
 from ..textured_mesh import TexturedMesh
@@ -24,6 +25,7 @@ from .collapse_fans import (
     find_compatible,
     find_orientations,
     find_refusals,
+    replace_wedges,
 )
 from .topology import BOUNDARY, Collapses, Topology, build_topology, divide_into_surfaces, find_islands
 
@@ -101,38 +103,71 @@ class RemovalOrder(Protocol):
     def choose_window(self, engine: "CollapseEngine", vertices: np.ndarray, size: int) -> np.ndarray:
         """Return the first `size` of `vertices` (N,), in order."""
 
-    def rate(self, collapses: Collapses) -> np.ndarray:
+    def rate(self, engine: "CollapseEngine", collapses: Collapses) -> np.ndarray:
         """Return costs (N,) of `collapses`: cheaper ones are tried first, those with infinite costs never."""
 
     def select(self, vertices: np.ndarray, costs: np.ndarray) -> np.ndarray:
         """Return which of `vertices` (N,) are removed in this round, (N,) bool, given the costs of their cheapest valid collapses."""
 
-    def apply(self, collapses: Collapses, fans: CollapseFans) -> None:
-        """Take note of `collapses` that are performed."""
+    def apply(self, engine: "CollapseEngine", collapses: Collapses) -> None:
+        """Take note of `collapses` that are performed next."""
 
     def mark_changed(self, vertices: np.ndarray) -> None:
         """Take note of `vertices` (N,) whose triangles have changed."""
 
 
+def group_by_texture(mesh: TexturedMesh) -> np.ndarray:
+    """Return the groups (W,) int32 of wedges of a vertex with the same material and texture coordinates."""
+    materials = np.zeros(len(mesh.uvs))
+    materials[mesh.wedge_triangles.reshape(-1)] = np.repeat(mesh.materials, 3)
+    keys = np.concatenate([mesh.wedge_vertices[:, None], materials[:, None], mesh.uvs], axis=1)
+    return np.unique(keys + 0.0, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int32)  # + 0.0 makes -0.0 equal to 0.0
+
+
+@dataclass(frozen=True)
+class WedgeMoves:
+    """What collapses do to the wedges of the vertices that they remove.
+
+    Attributes:
+        owners: (M,) int32, into the collapses, ascending.
+        removed: (M,) wedges of the removed vertices.
+        kept: (M,) wedges of the kept vertices that replace them, or the removed ones, which then move to the kept vertices.
+    """
+
+    owners: np.ndarray
+    removed: np.ndarray
+    kept: np.ndarray
+
+
 class CollapseEngine:
     """The current triangles, (3, T), of a textured mesh, and the record of what was removed.
 
-    mesh: with copies of vertices where several surfaces touch, is_locked (V,) bool; fine_vertices: (V,) int32, those that were given.
-    groups: (W,) wedges between which there are no seams. reasons: (V,) uint8, why the preferred collapse of a vertex was refused.
-    frees_ends: whether ends of seams may collapse. folded_count, dropped_island_count: collapses that only the `relaxation` allowed.
+    Attributes:
+        mesh: with copies of vertices and wedges where several surfaces touch.
+        is_locked: (V,) bool, vertices where surfaces touch that stay.
+        is_reversed: (T,) bool, triangles that have the opposite orientation in the mesh that was given.
+        fine_vertices, fine_wedges: (V,), (W,) int32, those that were given.
+        groups: (W,) wedges between which there are no seams.
+        reasons: (V,) uint8, why the preferred collapse of a vertex was refused.
+        frees_ends: whether ends of seams may collapse.
+        crosses_seams: see `Topology`.
+        folded_count, dropped_island_count: collapses that only the `relaxation` allowed.
     """
 
-    def __init__(self, mesh: TexturedMesh) -> None:
-        mesh, self.fine_vertices, self.is_locked = divide_into_surfaces(mesh)
-        self.mesh = mesh
-        self.frees_ends = False
+    def __init__(self, mesh: TexturedMesh, crosses_seams: bool = False) -> None:
+        """crosses_seams: whether the shape of seams, and touching surfaces, do not limit collapses; their costs count."""
+        divided = divide_into_surfaces(mesh)
+        self.mesh = mesh = divided.mesh
+        self.fine_vertices, self.fine_wedges = divided.fine_vertices, divided.fine_wedges
+        self.crosses_seams, self.frees_ends = crosses_seams, False
+        self.is_locked = np.zeros_like(divided.is_touching) if crosses_seams else divided.is_touching
         self.triangles, self.wedges = (np.ascontiguousarray(array.T) for array in (mesh.triangles, mesh.wedge_triangles))
-        self.materials = mesh.materials.copy()
-        self.groups = np.arange(len(mesh.uvs), dtype=np.int32)
+        self.materials, self.is_reversed = mesh.materials.copy(), divided.is_reversed
+        self.groups = group_by_texture(mesh) if crosses_seams else np.arange(len(mesh.uvs), dtype=np.int32)
         self.orientations = find_orientations(mesh.corner_uvs, find_islands(mesh))
         vectors = (mesh.vertices, vertex_normals(mesh.vertices, mesh.triangles), mesh.uvs)
         self.surface = Surface(*(np.ascontiguousarray(values.T) for values in vectors))
-        self.relaxation = Relaxation()
+        self._strictest = self.relaxation = Relaxation(crosses_seams=crosses_seams)
         self.perceptual = PerceptualValues(mesh.vertices)
         self.reasons = np.zeros(len(mesh.vertices), np.uint8)
         self.removed, self.kept, self.values = [], [], []
@@ -149,7 +184,17 @@ class CollapseEngine:
 
     def rebuild(self) -> None:
         """Find the topology of the current triangles."""
-        self.topology: Topology = build_topology(self.triangles, self.wedges, self.groups, self.is_locked, self.frees_ends)
+        self.topology: Topology = build_topology(
+            self.triangles, self.wedges, self.groups, self.is_locked, self.frees_ends, self.crosses_seams
+        )
+
+    def find_moves(self, collapses: Collapses) -> WedgeMoves:
+        """Return what `collapses` do to wedges."""
+        starts, wedges = self.topology.vertex_wedges
+        counts = starts[collapses.removed + 1] - starts[collapses.removed]
+        owners = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
+        removed = wedges[concatenate_ranges(starts[collapses.removed], counts)]
+        return WedgeMoves(owners, removed, replace_wedges(collapses, owners, removed, self.groups, self.mesh.attributes))
 
     def retry(self, is_forced: bool = False) -> bool:
         """Let all refused vertices be tried again, unless hardly any collapses were performed since the last time. Return whether they are.
@@ -185,10 +230,24 @@ class CollapseEngine:
         self._perform(self._build_fans(collapses), order)
         return len(collapses.removed)
 
-    def replace(self, triangles: np.ndarray, wedges: np.ndarray, materials: np.ndarray, orientations: np.ndarray) -> None:
-        """Replace the triangles (3, T), and let refused vertices be tried again."""
-        self.triangles, self.wedges = np.ascontiguousarray(triangles), np.ascontiguousarray(wedges)
-        self.materials, self.orientations = materials, orientations
+    def keep_triangles(self, is_kept: np.ndarray) -> None:
+        """Drop all triangles but those that `is_kept` (T,) bool names, and let refused vertices be tried again."""
+        self._keep(is_kept)
+        self._is_waiting[:] = False
+        self.rebuild()
+
+    def _keep(self, is_kept: np.ndarray) -> None:
+        self.triangles, self.wedges = (np.compress(is_kept, array, axis=1) for array in (self.triangles, self.wedges))
+        self.materials, self.orientations, self.is_reversed = (
+            values[is_kept] for values in (self.materials, self.orientations, self.is_reversed)
+        )
+
+    def add_triangles(self, vertices: np.ndarray, wedges: np.ndarray, neighbors: np.ndarray) -> None:
+        """Add triangles of `vertices` and `wedges` (3, N) like their `neighbors` (N,), and let refused vertices be tried again."""
+        self.triangles, self.wedges = np.concatenate([self.triangles, vertices], axis=1), np.concatenate([self.wedges, wedges], axis=1)
+        self.materials, self.orientations, self.is_reversed = (
+            np.concatenate([values, values[neighbors]]) for values in (self.materials, self.orientations, self.is_reversed)
+        )
         self._is_waiting[:] = False
         self.rebuild()
 
@@ -204,7 +263,7 @@ class CollapseEngine:
     def _find_accepted(self, order: RemovalOrder, vertices: np.ndarray) -> Collapses:
         """Return the first collapse of each of `vertices` (N,) that is accepted, in the order of the vertices."""
         owners, collapses = self.topology.find_collapses(vertices, self.groups)
-        costs = order.rate(collapses)
+        costs = order.rate(self, collapses)
         by_cost = np.lexsort((costs, owners))
         by_cost = by_cost[np.isfinite(costs[by_cost])]
         first = np.searchsorted(owners[by_cost], np.arange(len(vertices) + 1))
@@ -229,11 +288,11 @@ class CollapseEngine:
 
     def _perform(self, fans: CollapseFans, order: RemovalOrder) -> None:
         collapses = fans.collapses
-        if self.relaxation != Relaxation():
-            strict_reasons = find_refusals(fans, self.surface, self.orientations, Relaxation())
+        if self.relaxation != self._strictest:
+            strict_reasons = find_refusals(fans, self.surface, self.orientations, self._strictest)
             self.folded_count += np.count_nonzero(strict_reasons == FOLD)
             self.dropped_island_count += np.count_nonzero(strict_reasons == SHORT_CURVE)
-        order.apply(collapses, fans)
+        order.apply(self, collapses)
         self.values.append(self.perceptual.record(self.topology, collapses.removed, collapses.kept))
         self.removed.append(collapses.removed)
         self.kept.append(collapses.kept)
@@ -242,8 +301,7 @@ class CollapseEngine:
         self.wedges.reshape(-1)[fans.corners] = fans.wedges
         is_kept = np.ones(self.triangle_count, bool)
         is_kept[fans.triangles[fans.vanishes]] = False
-        self.triangles, self.wedges = (np.compress(is_kept, array, axis=1) for array in (self.triangles, self.wedges))
-        self.materials, self.orientations = self.materials[is_kept], self.orientations[is_kept]
+        self._keep(is_kept)
         self._is_waiting[changed] = False
         order.mark_changed(changed)
         self.rebuild()

@@ -4,6 +4,7 @@ Sections I.B and III.A of the paper: vertices are removed by half-edge collapses
 the constraints of surface and texture would stop it.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -86,26 +87,40 @@ def simplify_in_order(mesh: TexturedMesh, priorities: np.ndarray, targets: list[
     return (yield from _make_levels(engine, order, targets, settings))
 
 
-def simplify_by_cost(mesh: TexturedMesh, cost: CollapseCost | None, targets: list[int], settings: TexmeshSettings) -> Steps[Simplification]:
-    """Simplify `mesh` by the collapses with the smallest `cost`, by default `TextureQuadrics`. See `simplify_in_order`."""
-    engine = CollapseEngine(mesh)
-    order = CheapestOrder(TextureQuadrics(mesh) if cost is None else cost, engine.fine_vertices)
+def simplify_by_cost(
+    mesh: TexturedMesh,
+    make_cost: Callable[[TexturedMesh, np.ndarray], CollapseCost] | None,
+    targets: list[int],
+    settings: TexmeshSettings,
+) -> Steps[Simplification]:
+    """Simplify `mesh` by the collapses with the smallest cost. See `simplify_in_order`.
+
+    With *Vertices: Optimized*, seams and touching surfaces set no limits, since their costs count: a vertex may leave a seam with its
+    texture coordinates.
+
+    make_cost: returns the cost for a mesh and the vertices (V,) of the input that its vertices are; None for `TextureQuadrics`.
+    """
+    engine = CollapseEngine(mesh, crosses_seams=settings.vertices == "optimized")
+    cost = TextureQuadrics(engine.mesh) if make_cost is None else make_cost(engine.mesh, engine.fine_vertices)
+    order = CheapestOrder(cost, len(engine.mesh.vertices))
     return (yield from _make_levels(engine, order, targets, settings))
 
 
 def extract_level(mesh: TexturedMesh, level: SubsetLevel) -> TexturedMesh:
     """Return `level` of `mesh` as a mesh of its own, without unused vertices and wedges."""
     used_vertices, triangles = np.unique(level.triangles, return_inverse=True)
-    used_wedges, wedge_triangles = np.unique(level.wedge_triangles, return_inverse=True)
-    new_vertices = np.full(len(mesh.vertices), -1, np.int32)
-    new_vertices[used_vertices] = np.arange(len(used_vertices))
+    keys = level.wedge_triangles.astype(np.int64) * len(used_vertices) + triangles.reshape(
+        -1, 3
+    )  # A wedge may have moved to other vertices.
+    used_keys, wedge_triangles = np.unique(keys, return_inverse=True)
+    used_wedges = used_keys // len(used_vertices)
     sources = np.zeros(len(mesh.uvs), np.int32)
     sources[mesh.wedge_triangles.reshape(-1)] = mesh.sources.reshape(-1)
     return TexturedMesh(
         vertices=mesh.vertices[used_vertices],
         triangles=triangles.reshape(-1, 3).astype(np.int32),
         wedge_triangles=wedge_triangles.reshape(-1, 3).astype(np.int32),
-        wedge_vertices=new_vertices[mesh.wedge_vertices[used_wedges]],
+        wedge_vertices=(used_keys % len(used_vertices)).astype(np.int32),
         uvs=mesh.uvs[used_wedges],
         attributes=mesh.attributes[used_wedges],
         materials=level.materials,
@@ -140,9 +155,10 @@ def _make_levels(engine: CollapseEngine, order: RemovalOrder, targets: list[int]
 def _take_level(engine: CollapseEngine, drastic: DrasticSteps, target: int) -> SubsetLevel:
     """Return the current triangles as a level."""
     is_reached = engine.triangle_count <= (1.0 + TOLERANCE) * target
+    corners = np.where(engine.is_reversed[:, None], [0, 2, 1], [0, 1, 2])
     return SubsetLevel(
-        triangles=engine.fine_vertices[engine.triangles.T],
-        wedge_triangles=np.ascontiguousarray(engine.wedges.T),
+        triangles=engine.fine_vertices[np.take_along_axis(engine.triangles.T, corners, axis=1)],
+        wedge_triangles=engine.fine_wedges[np.take_along_axis(engine.wedges.T, corners, axis=1)],
         materials=engine.materials.copy(),
         collapse_count=sum(map(len, engine.removed)),
         constraint="" if is_reached else name_constraint(engine, target),

@@ -6,7 +6,6 @@ in space and in texture space, so that a distance between them is one on the sur
 their edges within the triangle's plane in (x, y, z, u, v).
 """
 
-from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -14,15 +13,14 @@ import numpy as np
 from ...arrays import TINY
 from ...geometry.mesh import longest_side, scaled_normals
 from ...geometry.transforms import signed_areas
-from ..scale_space.features import ScaleMap
 from ..textured_mesh import TexturedMesh
-from .collapse_fans import CollapseFans
-from .engine import CollapseEngine
+from .engine import CollapseEngine, WedgeMoves
 from .topology import BOUNDARY, Collapses, build_topology, find_islands
 from .wedge_quadrics import COLUMNS, ROWS, WedgeQuadrics
 
 TIED_FRACTION = 0.01  # Perceptual values break ties if more than this fraction of the priorities are equal to others.
 WEIGHT_PER_SCALE = 1.15  # factor of the cost of a vertex per scale at which it is a feature: 1.1 to 1.25 gave the least visible levels
+MAX_COST_RATIO = 1e3  # A round has no collapse that costs this many times more than its cheapest one.
 CHUNK_SIZE = 1 << 14  # triangles
 MAX_SCALE_RATIO = 4.0  # between the UV scales of a triangle and of its island
 BOUNDARY_WEIGHT = 0.5  # Weight of a squared distance from an edge of a boundary, times its squared length.
@@ -31,12 +29,12 @@ LENGTH_WEIGHT = 1e-6  # Weight of the squared length of a collapse, which decide
 
 
 class CollapseCost(Protocol):
-    """A cost of half-edge collapses that changes as collapses are performed. Vertices and wedges are those of the fine mesh."""
+    """A cost of half-edge collapses that changes as collapses are performed. Vertices and wedges are those of `CollapseEngine.mesh`."""
 
-    def evaluate(self, collapses: Collapses) -> np.ndarray:
+    def evaluate(self, collapses: Collapses, moves: WedgeMoves) -> np.ndarray:
         """Return the costs (N,) float64 of `collapses`, infinite for those that must not happen."""
 
-    def merge(self, collapses: Collapses, fans: CollapseFans) -> None:
+    def merge(self, collapses: Collapses, moves: WedgeMoves) -> None:
         """Take note of `collapses` that are performed."""
 
 
@@ -64,7 +62,7 @@ class GivenOrder:
             vertices, values = vertices[is_allowed], values[is_allowed]
         return vertices[np.lexsort((values, self._priorities[vertices]))[:size]]
 
-    def rate(self, collapses: Collapses) -> np.ndarray:
+    def rate(self, engine: CollapseEngine, collapses: Collapses) -> np.ndarray:
         """Return the squared distances (N,) to the kept vertices."""
         return ((self._positions[:, collapses.removed] - self._positions[:, collapses.kept]) ** 2).sum(axis=0)
 
@@ -72,7 +70,7 @@ class GivenOrder:
         """See `RemovalOrder`."""
         return np.ones(len(costs), bool)
 
-    def apply(self, collapses: Collapses, fans: CollapseFans) -> None:
+    def apply(self, engine: CollapseEngine, collapses: Collapses) -> None:
         """See `RemovalOrder`."""
 
     def mark_changed(self, vertices: np.ndarray) -> None:
@@ -83,11 +81,10 @@ class GivenOrder:
 class CheapestOrder:
     """Vertices with the cheapest collapses are removed first. Costs are evaluated again only for vertices that may be among them."""
 
-    def __init__(self, cost: CollapseCost, fine_vertices: np.ndarray) -> None:
-        """fine_vertices: (V,) int32, the indices by which `cost` knows the vertices of the engine."""
-        self._cost, self._fine_vertices = cost, fine_vertices
-        self._costs = np.zeros(len(fine_vertices))
-        self._is_stale = np.ones(len(fine_vertices), bool)
+    def __init__(self, cost: CollapseCost, vertex_count: int) -> None:
+        self._cost = cost
+        self._costs = np.zeros(vertex_count)
+        self._is_stale = np.ones(vertex_count, bool)
         self._cutoff = np.inf
 
     def choose_window(self, engine: CollapseEngine, vertices: np.ndarray, size: int) -> np.ndarray:
@@ -97,49 +94,47 @@ class CheapestOrder:
         stale = window[self._is_stale[window]]
         owners, collapses = engine.topology.find_collapses(stale, engine.groups)
         costs = np.full(len(stale), np.inf)
-        np.minimum.at(costs, owners, self.rate(collapses))
+        np.minimum.at(costs, owners, self.rate(engine, collapses))
         self._costs[stale] = costs
         self._is_stale[stale] = False
         window = window[np.argsort(self._costs[window], kind="stable")]
-        self._cutoff = np.partition(self._costs[vertices], size - 1)[size - 1]
+        self._cutoff = min(np.partition(self._costs[vertices], size - 1)[size - 1], MAX_COST_RATIO * max(self._costs[window[0]], 0.0))
         cheap = window[self._costs[window] <= self._cutoff]
         return cheap[:size]
 
-    def rate(self, collapses: Collapses) -> np.ndarray:
+    def rate(self, engine: CollapseEngine, collapses: Collapses) -> np.ndarray:
         """Return the costs (N,)."""
-        return self._cost.evaluate(self._to_fine(collapses))
+        return self._cost.evaluate(collapses, engine.find_moves(collapses))
 
     def select(self, vertices: np.ndarray, costs: np.ndarray) -> np.ndarray:
         """See `RemovalOrder`."""
         self._costs[vertices] = costs
         return costs <= self._cutoff
 
-    def apply(self, collapses: Collapses, fans: CollapseFans) -> None:
+    def apply(self, engine: CollapseEngine, collapses: Collapses) -> None:
         """See `RemovalOrder`."""
-        self._cost.merge(self._to_fine(collapses), fans)
+        self._cost.merge(collapses, engine.find_moves(collapses))
 
     def mark_changed(self, vertices: np.ndarray) -> None:
         """See `RemovalOrder`."""
         self._is_stale[vertices] = True
 
-    def _to_fine(self, collapses: Collapses) -> Collapses:
-        return replace(collapses, removed=self._fine_vertices[collapses.removed], kept=self._fine_vertices[collapses.kept])
-
 
 class ScaleWeightedQuadrics:
     """Texture quadrics, weighted by the last scale at which the removed vertex is a feature; a `CollapseCost`."""
 
-    def __init__(self, mesh: TexturedMesh, scale_map: ScaleMap) -> None:
+    def __init__(self, mesh: TexturedMesh, last_scales: np.ndarray) -> None:
+        """last_scales: (V,) int, see `ScaleMap`."""
         self._quadrics = TextureQuadrics(mesh)
-        self._weights = WEIGHT_PER_SCALE ** scale_map.last_scales.astype(np.float64)
+        self._weights = WEIGHT_PER_SCALE ** last_scales.astype(np.float64)
 
-    def evaluate(self, collapses: Collapses) -> np.ndarray:
+    def evaluate(self, collapses: Collapses, moves: WedgeMoves) -> np.ndarray:
         """See `CollapseCost`."""
-        return self._quadrics.evaluate(collapses) * self._weights[collapses.removed]
+        return self._quadrics.evaluate(collapses, moves) * self._weights[collapses.removed]
 
-    def merge(self, collapses: Collapses, fans: CollapseFans) -> None:
+    def merge(self, collapses: Collapses, moves: WedgeMoves) -> None:
         """See `CollapseCost`."""
-        self._quadrics.merge(collapses, fans)
+        self._quadrics.merge(collapses, moves)
 
 
 class TextureQuadrics(WedgeQuadrics):
@@ -150,8 +145,7 @@ class TextureQuadrics(WedgeQuadrics):
         positions = (mesh.vertices - mesh.vertices.mean(axis=0)) * unit
         scales, overall = _find_uv_scales(mesh, unit)
         points = np.concatenate([positions[mesh.wedge_vertices], mesh.uvs * overall], axis=1)
-        super().__init__(points)
-        self._positions = positions
+        super().__init__(points, positions)
         triangles = np.ascontiguousarray(mesh.triangles.T)
         wedges = np.ascontiguousarray(mesh.wedge_triangles.T)
         topology = build_topology(triangles, wedges, np.arange(len(points)), np.zeros(len(mesh.vertices), bool))
@@ -163,9 +157,9 @@ class TextureQuadrics(WedgeQuadrics):
             self._add_triangles(points, mesh.wedge_triangles[rows], scales[rows] / overall, curve_weights[:, rows])
         self.finish()
 
-    def evaluate(self, collapses: Collapses) -> np.ndarray:
+    def evaluate(self, collapses: Collapses, moves: WedgeMoves) -> np.ndarray:
         """See `CollapseCost`."""
-        costs, removed = self.evaluate_wedges(collapses), collapses.removed_wedges[0]
+        costs, removed = self.evaluate_wedges(collapses, moves), collapses.removed_wedges[0]
         displacements = self._positions[collapses.removed] - self._positions[collapses.kept]
         return costs + LENGTH_WEIGHT * self._areas[removed] * np.einsum("ij,ij->i", displacements, displacements)
 

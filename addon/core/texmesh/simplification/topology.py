@@ -13,8 +13,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ...arrays import concatenate_ranges
+from ...geometry.edges import find_edges
 from ...geometry.mesh import face_areas_and_normals
-from ...geometry.proximity import argsort_pairs, encode_pairs
+from ...geometry.proximity import argsort_pairs, counting_argsort, encode_pairs
 from ...geometry.vertex_rings import VertexRings, build_rings
 from ..textured_mesh import TexturedMesh
 
@@ -61,6 +62,7 @@ class Topology:
         seam_counts, boundary_counts: (V,) the number of such edges at a vertex.
         is_locked: (V,) bool, vertices that stay.
         is_free_end: (V,) bool, ends of seams that may collapse into islands.
+        crosses_seams: whether vertices may leave seams, and corners, crossings and ends of seams may be removed.
         edge_keys: (E,) int64, ascending, from `encode_pairs`.
         rings: the corners around each vertex.
     """
@@ -74,6 +76,7 @@ class Topology:
     boundary_counts: np.ndarray
     is_locked: np.ndarray
     is_free_end: np.ndarray
+    crosses_seams: bool
     edge_keys: np.ndarray
     rings: VertexRings
 
@@ -91,6 +94,15 @@ class Topology:
     def is_used(self) -> np.ndarray:
         """(V,) bool, which vertices have triangles."""
         return np.diff(self.rings.starts) > 0
+
+    @cached_property
+    def vertex_wedges(self) -> tuple[np.ndarray, np.ndarray]:
+        """The wedges of each vertex: (V + 1,) where those of each vertex begin, and the wedges."""
+        owners = np.full(int(self.wedges.max(initial=-1)) + 1, -1, np.int32)
+        owners[self.wedges] = self.starts
+        used = np.flatnonzero(owners >= 0)
+        counts = np.bincount(owners[used], minlength=self.vertex_count)
+        return np.concatenate([[0], np.cumsum(counts)]), used[counting_argsort(owners[used], self.vertex_count)]
 
     @cached_property
     def is_on_curve(self) -> np.ndarray:
@@ -111,6 +123,8 @@ class Topology:
         """(V,) bool, which vertices are inside of islands, or on a curve, but no corner or end of it unless it is free."""
         seams, boundaries = self.seam_counts, self.boundary_counts
         is_regular = ((boundaries == 0) & ((seams == 0) | (seams == 2))) | ((boundaries == 2) & (seams == 0))
+        if self.crosses_seams:
+            is_regular = (boundaries == 0) | (boundaries == 2)
         return self.is_used & (is_regular | self.is_free_end) & ~self.is_locked
 
     def next(self, halfedges: np.ndarray) -> np.ndarray:
@@ -130,7 +144,8 @@ class Topology:
         return np.repeat(np.arange(len(vertices), dtype=np.int32), counts), self.rings.corners[concatenate_ranges(first, counts)]
 
     def find_collapses(self, vertices: np.ndarray, groups: np.ndarray) -> tuple[np.ndarray, Collapses]:
-        """Return the collapses of removable `vertices` (N,) that keep to curves, and the positions of these in `vertices`, ascending.
+        """Return the collapses of removable `vertices` (N,) that keep to boundaries, and to seams unless they may cross them, and the
+        positions of these in `vertices`, ascending.
 
         groups: (W,) of wedges between which there are no seams.
         """
@@ -140,12 +155,17 @@ class Topology:
         owners = np.concatenate([owners, owners[is_last]])
         halfedges = np.concatenate([corners, preceding[is_last]])
         is_reversed = np.arange(len(halfedges)) >= len(corners)
-        is_along = self.is_on_curve & ~self.is_free_end
-        is_allowed = self.is_curve[halfedges] == is_along[vertices[owners]]
+        if self.crosses_seams:
+            is_allowed = (self.twins[halfedges] == BOUNDARY) | (self.boundary_counts[vertices[owners]] == 0)
+        else:
+            is_along = self.is_on_curve & ~self.is_free_end
+            is_allowed = self.is_curve[halfedges] == is_along[vertices[owners]]
         order = np.flatnonzero(is_allowed)
         order = order[np.argsort(owners[order], kind="stable")]
         owners, halfedges, is_reversed = owners[order], halfedges[order], is_reversed[order]
         collapses = self._find_sides(vertices[owners], halfedges, is_reversed)
+        if self.crosses_seams:
+            return owners, collapses
         # A vertex with one wedge where two seams meet is the end of both.
         first, second = collapses.removed_wedges
         is_end = (second >= 0) & self.is_curve[halfedges] & (groups[first] == groups[second])
@@ -174,13 +194,18 @@ class Topology:
 
 
 def build_topology(
-    triangles: np.ndarray, wedges: np.ndarray, groups: np.ndarray, is_locked: np.ndarray, frees_ends: bool = False
+    triangles: np.ndarray,
+    wedges: np.ndarray,
+    groups: np.ndarray,
+    is_locked: np.ndarray,
+    frees_ends: bool = False,
+    crosses_seams: bool = False,
 ) -> Topology:
     """Return the topology of `triangles` and `wedges` (3, T) int32; there are seams between wedges of different groups (W,).
 
     Args:
         is_locked: (V,) bool, vertices that are never removed, in addition to those at edges whose triangles are no oriented surface.
-        frees_ends: whether ends of seams may collapse.
+        frees_ends: whether ends of seams may collapse. crosses_seams: see `Topology`.
     """
     vertex_count = len(is_locked)
     starts, ends = triangles.reshape(-1), triangles[[1, 2, 0]].reshape(-1)
@@ -224,6 +249,7 @@ def build_topology(
         boundary_counts=boundary_counts,
         is_locked=is_locked,
         is_free_end=is_free_end,
+        crosses_seams=crosses_seams,
         edge_keys=keys[first],
         rings=rings,
     )
@@ -247,16 +273,57 @@ def label_connected(triangles: np.ndarray, count: int) -> np.ndarray:
     return np.unique(labels, return_inverse=True)[1].reshape(-1)
 
 
-def divide_into_surfaces(mesh: TexturedMesh) -> tuple[TexturedMesh, np.ndarray, np.ndarray]:
-    """Return `mesh` with copies of the vertices at which several surfaces touch.
+def orient_alike(triangles: np.ndarray) -> np.ndarray:
+    """Return which of `triangles` (T, 3) must be reversed, (T,) bool, so that neighbors have opposite directions along their edges: as few
+    as possible. None of those that are connected to a one-sided surface, such as a Moebius strip."""
+    count = len(triangles)
+    edges = find_edges(triangles)
+    first, second = edges.interior_halfedges.T
+    first_starts, second_starts = (triangles[halfedges // 3, (halfedges + 1) % 3] for halfedges in (first, second))
+    first, second = first // 3, second // 3
+    is_alike = first_starts != second_starts
+    if is_alike.all():
+        return np.zeros(count, bool)
+    # Node t stands for triangle t, node t + count for the reversed one.
+    ends = np.where(is_alike, second, second + count)
+    reversed_ends = np.where(is_alike, second + count, second)
+    rows, columns = np.concatenate([first, first + count]), np.concatenate([ends, reversed_ends])
+    labels = connected_components(coo_array((np.ones(len(rows), bool), (rows, columns)), shape=(2 * count,) * 2), directed=False)[1]
+    own, mirrored = labels[:count], labels[count:]
+    components = np.unique(np.minimum(own, mirrored), return_inverse=True)[1].reshape(-1)
+    is_reversed = own > mirrored
+    is_most = np.bincount(components, is_reversed) > 0.5 * np.bincount(components)
+    return (is_reversed != is_most[components]) & (own != mirrored)
 
-    At an edge with more than two triangles, or two with the same direction, those of opposite directions are connected that have the same
-    wedges, or else continue each other with the smallest angle.
 
-    Returns:
-        The mesh, whose wedges are those of the input; the vertex (V',) int32 of the input for each of its vertices; and which (V',) bool
-        were at such edges.
+@dataclass(frozen=True)
+class DividedMesh:
+    """A mesh whose triangles are oriented alike, with copies of the vertices at which several surfaces touch, and of their wedges, so that
+    each surface has its own.
+
+    Attributes:
+        mesh: the mesh.
+        is_reversed: (T,) bool, triangles that had the opposite orientation before.
+        fine_vertices, fine_wedges: (V,), (W,) int32, those of the mesh before.
+        is_touching: (V,) bool, the vertices at edges where surfaces touch.
     """
+
+    mesh: TexturedMesh
+    is_reversed: np.ndarray
+    fine_vertices: np.ndarray
+    fine_wedges: np.ndarray
+    is_touching: np.ndarray
+
+
+def divide_into_surfaces(mesh: TexturedMesh) -> DividedMesh:
+    """Divide `mesh` at edges with more than two triangles, or two with the same direction. Triangles of opposite directions stay connected
+    that have the same wedges there, or else continue each other with the smallest angle."""
+    is_reversed = orient_alike(mesh.triangles)
+    if is_reversed.any():
+        corners = np.where(is_reversed[:, None], [0, 2, 1], [0, 1, 2])
+        columns = (mesh.triangles, mesh.wedge_triangles, mesh.sources)
+        triangles, wedge_triangles, sources = (np.take_along_axis(column, corners, axis=1) for column in columns)
+        mesh = replace(mesh, triangles=triangles, wedge_triangles=wedge_triangles, sources=sources)
     starts, ends = mesh.triangles.reshape(-1), np.roll(mesh.triangles, -1, axis=1).reshape(-1)
     keys = encode_pairs(starts, ends, len(mesh.vertices))
     order = np.argsort(keys, kind="stable")
@@ -268,7 +335,8 @@ def divide_into_surfaces(mesh: TexturedMesh) -> tuple[TexturedMesh, np.ndarray, 
     is_ambiguous = counts > 2
     is_ambiguous[np.flatnonzero(is_regular)[~is_oriented]] = True
     if not is_ambiguous.any():
-        return mesh, np.arange(len(mesh.vertices), dtype=np.int32), np.zeros(len(mesh.vertices), bool)
+        counts = len(mesh.vertices), len(mesh.uvs)
+        return DividedMesh(mesh, is_reversed, *(np.arange(count, dtype=np.int32) for count in counts), np.zeros(len(mesh.vertices), bool))
     halfedges = order[concatenate_ranges(first[is_ambiguous], counts[is_ambiguous])]
     touched = np.zeros(len(mesh.vertices), bool)
     touched[starts[halfedges]] = touched[ends[halfedges]] = True
@@ -279,8 +347,19 @@ def divide_into_surfaces(mesh: TexturedMesh) -> tuple[TexturedMesh, np.ndarray, 
     labels = connected_components(graph, directed=False)[1]
     _, examples, triangles = np.unique(labels, return_index=True, return_inverse=True)
     sources = starts[examples].astype(np.int32)
-    divided = replace(mesh, vertices=mesh.vertices[sources], triangles=triangles.reshape(-1, 3).astype(np.int32))
-    return divided, sources, touched[sources]
+    keys = mesh.wedge_triangles.reshape(-1).astype(np.int64) * len(sources) + triangles.reshape(-1)
+    pairs, wedges = np.unique(keys, return_inverse=True)
+    fine_wedges = (pairs // len(sources)).astype(np.int32)
+    divided = replace(
+        mesh,
+        vertices=mesh.vertices[sources],
+        triangles=triangles.reshape(-1, 3).astype(np.int32),
+        wedge_triangles=wedges.reshape(-1, 3).astype(np.int32),
+        wedge_vertices=(pairs % len(sources)).astype(np.int32),
+        uvs=mesh.uvs[fine_wedges],
+        attributes=mesh.attributes[fine_wedges],
+    )
+    return DividedMesh(divided, is_reversed, sources, fine_wedges, touched[sources])
 
 
 def _pair(mesh: TexturedMesh, halfedges: np.ndarray, keys: np.ndarray, is_forward: np.ndarray) -> np.ndarray:

@@ -1,9 +1,9 @@
-"""Quadrics of position and texture coordinates, one per wedge, that are evaluated at the wedge that is kept."""
+"""Quadrics of position and texture coordinates, one per wedge, that are evaluated where the wedge moves."""
 
 import numpy as np
 
 from ...jobs.chunks import slices
-from .collapse_fans import CollapseFans
+from .engine import WedgeMoves
 from .topology import Collapses
 
 ROWS, COLUMNS = np.triu_indices(6)
@@ -13,10 +13,10 @@ CHUNK_COLLAPSES = 1 << 13
 class WedgeQuadrics:
     """The part that costs of collapses have in common. A subclass adds quadrics (W, 21) and areas (W,) of wedges, then calls `finish`."""
 
-    def __init__(self, points: np.ndarray) -> None:
-        """points: (W, 5), positions and texture coordinates of wedges, scaled alike."""
-        homogeneous = np.column_stack([points, np.ones(len(points))])
-        self._monomials = homogeneous[:, ROWS] * homogeneous[:, COLUMNS] * np.where(ROWS == COLUMNS, 1.0, 2.0)
+    def __init__(self, points: np.ndarray, positions: np.ndarray) -> None:
+        """points: (W, 5), positions and texture coordinates of wedges, scaled alike. positions: (V, 3), of the vertices."""
+        self._points, self._positions = points.copy(), positions
+        self._monomials = _list_monomials(points)
         self._quadrics = np.zeros((len(points), len(ROWS)))
         self._areas = np.zeros(len(points))
 
@@ -24,10 +24,14 @@ class WedgeQuadrics:
         """Compute the costs of wedges that stay where they are."""
         self._own_costs = np.einsum("wk,wk->w", self._quadrics, self._monomials)
 
-    def merge(self, collapses: Collapses, fans: CollapseFans) -> None:
+    def merge(self, collapses: Collapses, moves: WedgeMoves) -> None:
         """See `CollapseCost`."""
-        pairs = np.unique(fans.topology.wedges[fans.corners].astype(np.int64) * len(self._areas) + fans.wedges)
-        self.merge_wedges(pairs // len(self._areas), pairs % len(self._areas))
+        is_moved = moves.removed == moves.kept
+        self.merge_wedges(moves.removed[~is_moved], moves.kept[~is_moved])
+        moved = moves.removed[is_moved]
+        self._points[moved, :3] = self._positions[collapses.kept[moves.owners[is_moved]]]
+        self._monomials[moved] = _list_monomials(self._points[moved])
+        self._own_costs[moved] = np.einsum("wk,wk->w", self._quadrics[moved], self._monomials[moved])
 
     def merge_wedges(self, removed: np.ndarray, kept: np.ndarray) -> None:
         """Add the quadrics of wedges (N,) to those that take their place."""
@@ -35,17 +39,29 @@ class WedgeQuadrics:
         np.add.at(self._areas, kept, self._areas[removed])
         self._own_costs[kept] = np.einsum("wk,wk->w", self._quadrics[kept], self._monomials[kept])
 
-    def evaluate_wedges(self, collapses: Collapses) -> np.ndarray:
-        """Return the costs (N,) of moving the wedges of `collapses` on both sides onto others, not negative."""
-        (removed, other_removed), (kept, other_kept) = collapses.removed_wedges, collapses.kept_wedges
-        costs = self._evaluate(removed, kept)
-        rows = np.flatnonzero((other_removed >= 0) & (other_removed != removed))
-        costs[rows] += self._evaluate(other_removed[rows], other_kept[rows])
-        return costs
+    def evaluate_wedges(self, collapses: Collapses, moves: WedgeMoves) -> np.ndarray:
+        """Return the costs (N,) of moving the wedges of `collapses`, with those of the wedges that they move onto, not negative."""
+        costs = np.bincount(moves.owners, self._evaluate(moves.removed, moves.kept), len(collapses.removed)).astype(np.float64)
+        moved = np.flatnonzero(moves.removed == moves.kept)
+        if len(moved):
+            wedges, owners = moves.removed[moved], moves.owners[moved]
+            points = self._points[wedges]
+            points[:, :3] = self._positions[collapses.kept[owners]]
+            rest = np.einsum("wk,wk->w", self._quadrics[wedges], _list_monomials(points)) - self._own_costs[wedges]
+            costs += np.bincount(owners, rest, len(costs))
+        first, second = collapses.kept_wedges
+        costs += self._own_costs[first] + np.where((second >= 0) & (second != first), self._own_costs[second], 0.0)
+        return np.maximum(costs, 0.0)
 
     def _evaluate(self, removed: np.ndarray, kept: np.ndarray) -> np.ndarray:
         costs = np.empty(len(removed))
         for chunk in slices(len(removed), CHUNK_COLLAPSES):  # in parts that stay in the cache
             quadrics, monomials = self._quadrics.take(removed[chunk], axis=0), self._monomials.take(kept[chunk], axis=0)
             np.einsum("wk,wk->w", quadrics, monomials, out=costs[chunk])
-        return np.maximum(costs + self._own_costs.take(kept), 0.0)
+        return costs
+
+
+def _list_monomials(points: np.ndarray) -> np.ndarray:
+    """Return the products (W, 21) of homogeneous coordinates of `points` (W, 5), by which quadrics are evaluated."""
+    homogeneous = np.column_stack([points, np.ones(len(points))])
+    return homogeneous[:, ROWS] * homogeneous[:, COLUMNS] * np.where(ROWS == COLUMNS, 1.0, 2.0)
