@@ -10,6 +10,7 @@ Parts (`--only`), each in a module `texmesh_PART.py` if no other one is named:
 - `rebakes`: FLIP and bytes of rebaked textures
 - `targets` (texmesh_levels.py): subset levels, bit for bit
 - `paper`: Figures 4, 10 and 11
+- `ordinary`: ordinary assets with whole materials, compared with other programs; --flip renders them, --pictures writes sheets
 
 Each run generates other models, textures and views; --seed repeats one.
 """
@@ -30,6 +31,7 @@ environment.import_farfield()
 import benchmark_cli
 import texmesh_glb
 from texmesh_levels import measure_speed, measure_switching, measure_targets
+from texmesh_ordinary import measure_ordinary
 from texmesh_paper import measure_paper
 from texmesh_refits import measure_refits
 from texmesh_renders import measure_rebakes, measure_renders
@@ -41,10 +43,14 @@ from lib import command_line
 def build_parser() -> command_line.Parser:
     """Return the parser of all arguments of the benchmark."""
     parser = benchmark_cli.build_parser("bench_texmesh.py", __doc__, PARTS)
-    parser.add_argument("--models", nargs="+", default=None, help="names of texmesh_models.open_model; by default all that judge")
+    parser.add_argument(
+        "--models", nargs="+", default=None, help="names of texmesh_models.open_model, or of texmesh_assets.open_asset; by default all"
+    )
     parser.add_argument("--seed", type=int, default=secrets.randbelow(10**6), help="of generated models, textures and views")
     parser.add_argument("--data", type=Path, default=environment.ROOT.parent / "shared" / "data", help="the folder of the meshes")
     parser.add_argument("--validator", type=Path, help="a folder with node_modules/gltf-validator, for the part glb")
+    parser.add_argument("--flip", action="store_true", help="also render ordinary assets and compare them by FLIP")
+    parser.add_argument("--pictures", type=Path, help="a folder for sheets of ordinary assets")
     return parser
 
 
@@ -75,6 +81,7 @@ PARTS = {
     "rebakes": measure_rebakes,
     "targets": measure_targets,
     "paper": measure_paper,
+    "ordinary": measure_ordinary,
 }
 
 

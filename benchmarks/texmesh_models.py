@@ -89,7 +89,7 @@ def generate_planet(generator: np.random.Generator) -> TexturedMesh:
                     points.append(np.tan(0.25 * np.pi * patch))
     directions = np.stack(points)
     directions /= np.linalg.norm(directions, axis=3, keepdims=True)
-    return _build_patches(directions, _make_bumps(generator), generator, np.zeros(len(directions), np.int32))
+    return _build_patches(directions, make_bumps(generator), generator, np.zeros(len(directions), np.int32))
 
 
 def generate_ring(generator: np.random.Generator, grid: tuple[int, int] = (32, 16)) -> TexturedMesh:
@@ -104,14 +104,14 @@ def generate_ring(generator: np.random.Generator, grid: tuple[int, int] = (32, 1
             height = 0.35 * np.sin(latitude) + 0.0 * longitude
             points.append(np.stack([radius * np.cos(longitude), radius * np.sin(longitude), height], axis=2))
     materials = (np.arange(len(points)) // around % 2).astype(np.int32)
-    return _build_patches(np.stack(points), _make_bumps(generator), generator, materials)
+    return _build_patches(np.stack(points), make_bumps(generator), generator, materials)
 
 
 def generate_mirrored(generator: np.random.Generator) -> TexturedMesh:
     """Return a closed, symmetric body whose halves use the same, mirrored part of the texture: 10,368 triangles."""
     grid, halves = (36, 36), []
     longitude = np.linspace(0.0, np.pi, grid[0] + 1)
-    bump = _make_bumps(generator)
+    bump = make_bumps(generator)
     for row in range(2):
         latitude = np.pi * (0.02 + 0.96 * (row + np.linspace(0.0, 1.0, grid[1] + 1)[:, None]) / 2.0)
         across = np.sin(latitude) * (0.8 + 0.3 * np.sin(3.0 * latitude))
@@ -126,10 +126,10 @@ def generate_mirrored(generator: np.random.Generator) -> TexturedMesh:
         half = bump(half)
         half[:, [0, -1], 1] = 0.0
         halves.append(half)
-    uvs = [_place_island(grid_uvs(half.shape[:2]), index, 1, generator) for index, half in enumerate(halves)]
+    uvs = [place_island(grid_uvs(half.shape[:2]), index, 1, generator) for index, half in enumerate(halves)]
     points = [*halves, *(half[::-1] * [1.0, -1.0, 1.0] for half in halves)]
     uvs += [uv[::-1] for uv in uvs]
-    return _join_patches(points, uvs, np.zeros(4, np.int32))
+    return join_patches(points, uvs, np.zeros(4, np.int32))
 
 
 def grid_uvs(shape: tuple[int, int]) -> np.ndarray:
@@ -137,7 +137,7 @@ def grid_uvs(shape: tuple[int, int]) -> np.ndarray:
     return np.stack(np.meshgrid(np.linspace(0.0, 1.0, shape[0]), np.linspace(0.0, 1.0, shape[1]), indexing="ij"), axis=2)
 
 
-def _make_bumps(generator: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
+def make_bumps(generator: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
     """Return a smooth random displacement of positions (..., 3)."""
     centers = generator.normal(size=(BUMPS, 3))
     centers /= np.linalg.norm(centers, axis=1, keepdims=True)
@@ -153,7 +153,7 @@ def _make_bumps(generator: np.random.Generator) -> Callable[[np.ndarray], np.nda
     return displace
 
 
-def _place_island(uvs: np.ndarray, index: int, cells: int, generator: np.random.Generator) -> np.ndarray:
+def place_island(uvs: np.ndarray, index: int, cells: int, generator: np.random.Generator) -> np.ndarray:
     """Return the unit square `uvs` (..., 2) distorted, turned, mirrored and moved to cell `index` of a square of cells."""
     columns = int(np.ceil(np.sqrt(max(cells, 2))))
     u, v = uvs[..., 0], uvs[..., 1]
@@ -174,11 +174,12 @@ def _place_island(uvs: np.ndarray, index: int, cells: int, generator: np.random.
 
 
 def _build_patches(patches: np.ndarray, bump: Callable, generator: np.random.Generator, materials: np.ndarray) -> TexturedMesh:
-    uvs = [_place_island(grid_uvs(patches.shape[1:3]), index, len(patches), generator) for index in range(len(patches))]
-    return _join_patches([bump(np.round(patch, 9)) for patch in patches], uvs, materials)
+    uvs = [place_island(grid_uvs(patches.shape[1:3]), index, len(patches), generator) for index in range(len(patches))]
+    return join_patches([bump(np.round(patch, 9)) for patch in patches], uvs, materials)
 
 
-def _join_patches(points: list[np.ndarray], uvs: list[np.ndarray], materials: np.ndarray) -> TexturedMesh:
+def join_patches(points: list[np.ndarray], uvs: list[np.ndarray], materials: np.ndarray) -> TexturedMesh:
+    """Return the triangles of grids (R, C, 3) with texture coordinates (R, C, 2) and a material each, one unit along the longest side."""
     triangles, corner_uvs, owners, offset = [], [], [], 0
     for index, (patch, patch_uvs) in enumerate(zip(points, uvs, strict=True)):
         numbers = np.arange(patch[..., 0].size).reshape(patch.shape[:2])

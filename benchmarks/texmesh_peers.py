@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -27,17 +28,20 @@ import sys, pymeshlab
 source, target, count = sys.argv[1:]
 meshes = pymeshlab.MeshSet()
 meshes.load_new_mesh(source)
-meshes.meshing_decimation_quadric_edge_collapse_with_texture(targetfacenum=int(count), preserveboundary={boundary}, preservenormal=True)
+meshes.{method}(targetfacenum=int(count), preserveboundary={boundary}, preservenormal=True)
 meshes.save_current_mesh(target, save_textures=False)
 """
+MESHLAB_PLAIN = "meshing_decimation_quadric_edge_collapse"
+MESHLAB_TEXTURED = f"{MESHLAB_PLAIN}_with_texture"
 TIMEOUT = 600.0  # seconds
 
 
 @dataclass(frozen=True)
 class PeerLevel:
-    """A level by another program, None where it fails, with the seconds of its process or modifier."""
+    """A level by another program, None where it fails, with the seconds of its process or modifier. mesh: a TexturedMesh, or what a reader
+    made of its file."""
 
-    mesh: TexturedMesh | None
+    mesh: Any
     seconds: float
     message: str = ""
 
@@ -82,21 +86,24 @@ def _read_blender_mesh(mesh: bpy.types.Mesh) -> TexturedMesh:
 
 def simplify_with_gltfpack(source: Path, folder: Path, count: int, flags: tuple[str, ...] = ()) -> PeerLevel:
     """Simplify with gltfpack, without quantization and without its limit of error."""
-    total = _count_triangles(source)
+    return run_gltfpack(source, folder, count / _count_triangles(source), texmesh_files.read_glb, flags)
+
+
+def run_gltfpack(source: Path, folder: Path, fraction: float, read: Callable[[Path], Any], flags: tuple[str, ...] = ()) -> PeerLevel:
+    """Return what `read` returns of the .glb that `simplify_with_gltfpack` makes of an .obj or .glb, with a fraction of its triangles."""
     target = folder / "gltfpack.glb"
     program = os.environ.get(GLTFPACK, "gltfpack")
-    command = [program, "-i", str(source), "-o", str(target), "-si", f"{count / total:.6f}", "-se", "1", "-noq", "-km", "-kv", *flags]
-    return _run(command, target, texmesh_files.read_glb)
+    command = [program, "-i", str(source), "-o", str(target), "-si", f"{fraction:.6f}", "-se", "1", "-noq", "-km", "-kv", *flags]
+    return _run(command, target, read)
 
 
-def simplify_with_meshlab(source: Path, folder: Path, count: int, boundary: bool = True) -> PeerLevel:
-    """Simplify with the textured quadric edge collapse of pymeshlab, in the environment of the texture tools."""
+def simplify_with_meshlab(source: Path, folder: Path, count: int, boundary: bool = True, method: str = MESHLAB_TEXTURED) -> PeerLevel:
+    """Simplify with the quadric edge collapse of pymeshlab, in the environment of the texture tools. method: the name of the filter."""
     target = folder / "meshlab.obj"
     root = Path(os.environ.get("FARFIELD_VENV", Path(__file__).resolve().parents[1] / ".venv"))
     python = root / "texture-tools" / "bin" / "python"
-    return _run(
-        [str(python), "-c", MESHLAB_SCRIPT.format(boundary=boundary), str(source), str(target), str(count)], target, texmesh_files.read_obj
-    )
+    script = MESHLAB_SCRIPT.format(method=method, boundary=boundary)
+    return _run([str(python), "-c", script, str(source), str(target), str(count)], target, texmesh_files.read_obj)
 
 
 def _count_triangles(source: Path) -> int:
@@ -104,7 +111,7 @@ def _count_triangles(source: Path) -> int:
         return sum(line.startswith("f ") for line in file)
 
 
-def _run(command: list[str], target: Path, read: Callable[[Path], TexturedMesh]) -> PeerLevel:
+def _run(command: list[str], target: Path, read: Callable[[Path], Any]) -> PeerLevel:
     if shutil.which(command[0]) is None:
         return PeerLevel(None, 0.0, f"{command[0]} is not installed")
     target.unlink(missing_ok=True)
