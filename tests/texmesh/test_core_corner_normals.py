@@ -37,26 +37,26 @@ def test_hard_edges_stay_hard_where_seams_were_dissolved():
     normals[fine.triangles] = faces[:, None]
     dissolved = build_textured_mesh(TriangleMesh(fine.vertices, fine.triangles), corners[..., :2], normals[fine.triangles])
     assert len(fine.uvs) == 24 and len(dissolved.uvs) == 8
-    repaired = repair_normals(fine, fine.attributes, replace(dissolved, sources=fine.sources), dissolved.attributes)
+    repaired = repair_normals(fine, replace(dissolved, sources=fine.sources))
     assert np.allclose(repaired, faces[:, None], atol=1e-5)
-    assert np.allclose(repair_normals(fine, fine.attributes, fine, fine.attributes), fine.attributes[fine.wedge_triangles])
+    assert np.allclose(repair_normals(fine, fine), fine.attributes[fine.wedge_triangles])
 
 
 @pytest.mark.parametrize("turn", [1.0, 3.0])
 def test_normals_that_were_turned_stay(turn):
     fine = textured_box(turn)
     level = simplify(fine, 60)
-    assert np.allclose(repair_normals(fine, fine.attributes, level, level.attributes), level.attributes[level.wedge_triangles])
+    assert np.allclose(repair_normals(fine, level), level.attributes[level.wedge_triangles])
 
 
 def test_smooth_surfaces_stay_smooth_with_few_triangles():
     fine = textured_sphere(16)
     fine = replace(fine, attributes=normalize(fine.vertices[fine.wedge_vertices]).astype(np.float32))
     level = simplify(fine, 60)
-    assert np.allclose(repair_normals(fine, fine.attributes, level, level.attributes), level.attributes[level.wedge_triangles])
+    assert np.allclose(repair_normals(fine, level), level.attributes[level.wedge_triangles])
 
 
 def test_flat_faces_have_no_normals():
     fine = textured_box()
     fine = replace(fine, attributes=np.zeros_like(fine.attributes))
-    assert not repair_normals(fine, fine.attributes, fine, fine.attributes).any()
+    assert not repair_normals(fine, fine).any()

@@ -33,8 +33,7 @@ def create_level_mesh(name: str, source: TexturedSource, level: TexturedMesh, sc
         columns = slice(start, start + width)
         start += width
         if attribute == NORMALS:
-            normals = repair_normals(source.mesh, source.mesh.attributes[:, columns], level, level.attributes[:, columns])
-            _write_normals(mesh, level, normals)
+            _write_normals(mesh, level, repair_normals(source.mesh, level))
         elif attribute not in mesh.attributes:
             write_attribute(mesh, attribute, "CORNER", level.attributes[:, columns][level.wedge_triangles])
     if not any(attribute == NORMALS for attribute, _ in source.attributes):

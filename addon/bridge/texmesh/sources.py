@@ -70,7 +70,7 @@ def read_textured_source(
     origin = find_local_origin(evaluated.vertices)
     origin = np.zeros(3) if origin is None else origin
     mesh = TriangleMesh(evaluated.vertices - origin, evaluated.triangles, evaluated.material_indices)
-    textured = build_textured_mesh(mesh, corner_uvs, values, item.name)
+    textured = build_textured_mesh(mesh, corner_uvs, values, item.name, (NORMALS, 3) in attributes)
     remarks = [
         *remarks,
         *([f'The levels of "{item.name}" are one mesh, joined from {mesh_count:,} instances.'] if mesh_count > 1 else []),

@@ -11,25 +11,33 @@ MIN_SMOOTH_COSINE = np.cos(np.radians(40.0))  # between a face and the normal of
 MAX_TURN = np.radians(30.0)  # A normal may turn so much against the surface when a mesh is simplified.
 
 
-def find_corner_normals(mesh: TexturedMesh) -> np.ndarray:
-    """Return normals (T, 3, 3) float32 of corners: those of the vertex, or of the face where it deviates more than 40 degrees."""
+def find_corner_normals(mesh: TexturedMesh, fine: TexturedMesh | None = None) -> np.ndarray:
+    """Return normals (T, 3, 3) float32 of corners: those of the mesh. Without any, they are those of the vertex, or of the face where it
+    deviates more than 40 degrees.
+
+    fine: the mesh that `mesh` is a level of, None for none.
+    """
     _, faces = face_areas_and_normals(mesh.vertices[mesh.triangles])
+    if mesh.has_normals:
+        corners = mesh.attributes[mesh.wedge_triangles, :3] if fine is None else repair_normals(fine, mesh)
+        return np.where((corners == 0.0).all(axis=2, keepdims=True), faces[:, None], corners).astype(np.float32)
     corners = vertex_normals(mesh.vertices, mesh.triangles)[mesh.triangles]
     is_sharp = np.einsum("tci,ti->tc", corners, faces) < MIN_SMOOTH_COSINE
     return np.where(is_sharp[..., None], faces[:, None], corners).astype(np.float32)
 
 
-def repair_normals(fine: TexturedMesh, fine_normals: np.ndarray, level: TexturedMesh, normals: np.ndarray) -> np.ndarray:
+def repair_normals(fine: TexturedMesh, level: TexturedMesh) -> np.ndarray:
     """Return the normals of a level, but mean normals of its faces where a normal came to faces that it does not fit, as where a seam
     between the normals of a hard edge was dissolved.
 
     Args:
-        fine: the mesh that the level was made from; `level.sources` are rows of its corners. fine_normals: (W, 3) of its wedges, unit
-            vectors or zero. normals: (W', 3) float32 of the wedges of the level.
+        fine: the mesh that the level was made from, with normals, zero on flat faces. level: its `sources` are rows of the corners of
+            `fine`.
 
     Returns:
         (T, 3, 3) float32, of the corners of the level.
     """
+    fine_normals, normals = fine.attributes[:, :3], level.attributes[:, :3]
     angles = np.zeros(int(fine.sources.max()) + 1)
     angles[fine.sources] = _angles_to(_sum_faces(fine), fine_normals)[fine.wedge_triangles]
     around = vertex_normals(level.vertices, level.triangles)[level.wedge_vertices]

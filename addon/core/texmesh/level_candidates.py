@@ -9,18 +9,19 @@ import numpy as np
 from ..errors import SettingsError
 from ..jobs.parallel_steps import run_in_parallel
 from ..jobs.progress import Steps
+from .corner_attributes import CornerAttributes
 from .perception.weber import Collapses
+from .refitting.outliers import FineSurface
 from .refitting.refit import make_starts
-from .scale_space.features import SCALES, ScaleMap
+from .scale_space.features import ScaleMap
 from .settings import TexmeshSettings
 from .simplification.levels import Simplification, SubsetLevel, extract_level, simplify_by_cost, simplify_in_order
 from .simplification.removal_orders import ScaleWeightedQuadrics
-from .textured_mesh import TexturedMesh
+from .textured_mesh import TexturedMesh, merge_wedges
 
 MIN_TRIANGLES = 8  # With fewer triangles there is nothing to simplify. The coarsest candidate has at least half of them.
-MIN_REDUCTION = 0.6  # A candidate has at most this fraction of the triangles of the one before it.
-STEP_BEYOND = 0.5  # Beyond the last scale, a candidate has this fraction of the triangles of the one before it.
-MIN_FRACTION = 0.002  # The coarsest candidate has at least this fraction of the triangles of the original.
+STEP = 0.5  # Each candidate has this fraction of the triangles of the one before it.
+MIN_FRACTION, FEW_TRIANGLES = 0.01, 64  # The coarsest candidate has this fraction of the triangles, or so many if that is less.
 MAX_RATIOS = 32
 
 
@@ -47,12 +48,17 @@ class Candidate:
 class Candidates:
     """The candidates of a mesh, the original first, and the simplification that made them.
 
-    is_optimized: whether their vertices are to be moved.
+    attributes: of the original, None if the vertices of the candidates stay. Otherwise their subsets refer to a mesh without attributes.
     """
 
     items: list[Candidate]
     simplification: Simplification
-    is_optimized: bool
+    attributes: CornerAttributes | None
+
+    @property
+    def is_optimized(self) -> bool:
+        """Whether the vertices of the candidates are to be moved."""
+        return self.attributes is not None
 
     def divide_collapses(self) -> Collapses:
         """Return the collapses; their scales are the indices of the coarsest candidates that contain the removed vertices."""
@@ -76,16 +82,19 @@ def make_candidates(mesh: TexturedMesh, scale_map: ScaleMap, ratios: Sequence[fl
     else:
         targets, scales = targets_of_ratios(mesh, scale_map, ratios) if ratios else choose_targets(mesh, scale_map)
     is_optimized = settings.vertices == "optimized"
-    tasks: list[Steps] = [_simplify(mesh, scale_map, targets, settings)]
-    if is_optimized:
-        tasks.append(make_starts(mesh, targets, settings))
+    plain = merge_wedges(mesh) if is_optimized else mesh
+    attributes = CornerAttributes(mesh, FineSurface.of(plain)) if is_optimized else None
+    tasks: list[Steps] = [_simplify(plain, scale_map, targets, settings)]
+    if attributes is not None:
+        tasks.append(make_starts(plain, targets, settings))
     simplification, *starts = yield from run_in_parallel(tasks)
     items = [Candidate(mesh, 0, None)]
-    rows = zip(simplification.levels, scales, targets, starts[0] if is_optimized else [None] * len(targets), strict=True)
+    rows = zip(simplification.levels, scales, targets, starts[0] if starts else [None] * len(targets), strict=True)
     for level, scale, target, start in rows:
         if 0 < len(level.triangles) < len(items[-1].mesh.triangles):
-            items.append(Candidate(extract_level(mesh, level), scale, level, start, target))
-    return Candidates(items, simplification, is_optimized)
+            subset = extract_level(plain, level)
+            items.append(Candidate(subset if attributes is None else attributes.add_to(subset), scale, level, start, target))
+    return Candidates(items, simplification, attributes)
 
 
 def _simplify(mesh: TexturedMesh, scale_map: ScaleMap, targets: list[int], settings: TexmeshSettings) -> Steps[Simplification]:
@@ -104,25 +113,20 @@ def _priorities(scale_map: ScaleMap) -> np.ndarray:
 
 
 def choose_targets(mesh: TexturedMesh, scale_map: ScaleMap) -> tuple[list[int], list[int]]:
-    """Return triangle counts of candidates, descending, and the scale whose features each has.
+    """Return triangle counts of candidates, descending, and the last scale of which each still has all features."""
+    total = len(mesh.triangles)
+    smallest = max(MIN_TRIANGLES // 2, round(min(MIN_FRACTION * total, FEW_TRIANGLES)))
+    targets = []
+    while STEP * (last := targets[-1] if targets else total) >= smallest:
+        targets.append(round(STEP * last))
+    return targets, _find_scales(mesh, scale_map, targets)
 
-    A mesh without the features below a scale has two triangles less per removed vertex, if that is no boundary. Beyond the last scale, the
-    strongest features stay.
-    """
-    total, vertices = len(mesh.triangles), len(mesh.vertices)
-    smallest = max(MIN_TRIANGLES // 2, round(MIN_FRACTION * total))
-    targets, scales, last = [], [], total
-    for scale in range(1, SCALES):
-        count = max(total - 2 * (vertices - int(scale_map.counts[scale])), smallest)
-        if count <= MIN_REDUCTION * last:
-            targets.append(count)
-            scales.append(scale)
-            last = count
-    while last * STEP_BEYOND >= smallest:
-        last = max(round(last * STEP_BEYOND), 1)
-        targets.append(last)
-        scales.append(SCALES - 1)
-    return targets, scales
+
+def _find_scales(mesh: TexturedMesh, scale_map: ScaleMap, targets: Sequence[int]) -> list[int]:
+    """Return the last scale of which levels with `targets` triangles still have all features: a mesh without the features below a scale has
+    two triangles less per removed vertex, if that is no boundary."""
+    total, removed = len(mesh.triangles), len(mesh.vertices) - scale_map.counts
+    return [int(max((total - 2 * removed >= target).nonzero()[0], default=0)) for target in targets]
 
 
 def parse_ratios(text: str) -> list[float]:
@@ -141,19 +145,18 @@ def parse_ratios(text: str) -> list[float]:
 
 
 def targets_of_ratios(mesh: TexturedMesh, scale_map: ScaleMap, ratios: Sequence[float]) -> tuple[list[int], list[int]]:
-    """Return triangle counts, descending, and the last scale of which each still has all features, see `choose_targets`.
+    """Return triangle counts, descending, and the last scale of which each still has all features.
 
     Raises:
         SettingsError: a ratio leaves no triangle, or two the same number.
     """
-    total, removed = len(mesh.triangles), len(mesh.vertices) - scale_map.counts
+    total = len(mesh.triangles)
     targets = [round(ratio * total) for ratio in ratios]
     if targets[-1] < 1 or len(set(targets)) < len(targets):
         raise SettingsError(
             f"A mesh of {total:,} triangles has no level for every ratio; use larger or fewer ratios.", settings=("ratios",)
         )
-    scales = [int(max((total - 2 * removed >= target).nonzero()[0], default=0)) for target in targets]
-    return targets, scales
+    return targets, _find_scales(mesh, scale_map, targets)
 
 
 def _parse_ratio(word: str, text: str) -> float:

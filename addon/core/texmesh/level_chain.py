@@ -11,13 +11,12 @@ import numpy as np
 
 from ..imaging.mipmaps import Mipmaps, build_mipmaps
 from ..jobs.progress import Progress, Steps, subprogress
-from .level_candidates import Candidate, make_candidates, parse_ratios
+from .level_candidates import Candidate, Candidates, make_candidates, parse_ratios
 from .level_choices import MIN_PIXELS, ComparedCandidates, choose_candidates, compare_candidates, count_bytes, view_levels
 from .perception.level_images import LevelImages
 from .perception.switch_distances import Switch, find_shown_levels, find_switches, open_images
 from .perception.weber import Impacts
 from .refitting.comparison import LevelComparison
-from .refitting.outliers import FineSurface
 from .refitting.refit import refit_starts
 from .scale_space.analysis import analyze_scale_space
 from .scale_space.features import ScaleMap
@@ -108,7 +107,7 @@ def make_levels(
     yield Progress(0.8, "Choosing levels")
     chosen = choose_candidates(compared, settings)
     finish = _optimize if candidates.is_optimized else _keep
-    kept, images = yield from subprogress(finish(compared, chosen, mipmaps, settings), 0.8, 0.95)
+    kept, images = yield from subprogress(finish(candidates, compared, chosen, mipmaps, settings), 0.8, 0.95)
     find_shown = _show_all if settings.levels in AS_MANY_AS_ASKED else _show_visible
     shown, switches = yield from subprogress(find_shown(images, settings), 0.95, 1.0)
     levels = [_to_level(kept[index], switch) for index, switch in zip(shown, [None, *switches], strict=True)]
@@ -117,7 +116,11 @@ def make_levels(
 
 
 def _keep(
-    compared: ComparedCandidates, chosen: Sequence[int], _mipmaps: Sequence[Mipmaps | None], _settings: TexmeshSettings
+    _candidates: Candidates,
+    compared: ComparedCandidates,
+    chosen: Sequence[int],
+    _mipmaps: Sequence[Mipmaps | None],
+    _settings: TexmeshSettings,
 ) -> Steps[tuple[list[Candidate], list[LevelImages]]]:
     """Return the `chosen` candidates, whose vertices are those of the original, and their images."""
     yield from ()
@@ -125,18 +128,22 @@ def _keep(
 
 
 def _optimize(
-    compared: ComparedCandidates, chosen: Sequence[int], mipmaps: Sequence[Mipmaps | None], settings: TexmeshSettings
+    candidates: Candidates,
+    compared: ComparedCandidates,
+    chosen: Sequence[int],
+    mipmaps: Sequence[Mipmaps | None],
+    settings: TexmeshSettings,
 ) -> Steps[tuple[list[Candidate], list[LevelImages]]]:
     """Return the `chosen` candidates with positions and texture coordinates that deviate least from the original, and their images. Where
     the farthest places of an optimized level are farther than those of the candidate, the candidate stays as it is."""
     del compared.images[1:]  # The optimization needs their memory.
     original, *others = (compared.items[index] for index in chosen)
-    comparison = LevelComparison(FineSurface.of(original.mesh))
+    comparison = LevelComparison(candidates.attributes.surface)
     moved = yield from refit_starts(comparison.surface, [item.start for item in others], [item.target for item in others])
     kept = [original]
     for item, level in zip(others, moved, strict=True):
         yield Progress(0.9, "Comparing levels")
-        kept.append(item if comparison.is_worse(level, item.mesh) else replace(item, mesh=level))
+        kept.append(item if comparison.is_worse(level, item.mesh) else replace(item, mesh=candidates.attributes.add_to(level)))
     return kept, open_images(view_levels(kept, mipmaps, settings), settings, compared.images)
 
 

@@ -26,6 +26,7 @@ from .textured_mesh import TexturedMesh
 MIN_PIXELS = 4  # A level is worth having if the image of the object has so many pixels where it switches.
 MIN_STEP = 0.05  # Relative growth of the distance from one scale to the next that counts as a step of the step function.
 RANGE_MARGIN = 2.0  # Triangles are averaged over distances from this factor below the nearest switch to this factor beyond the farthest.
+MAX_LEVELS = 6  # of the perceptual choice, the original included
 VERTEX_BYTES, TRIANGLE_BYTES = 16, 6  # Quantized geometry: position, texture coordinates and normal; indices.
 
 
@@ -78,8 +79,9 @@ def compare_candidates(candidates: Candidates, mipmaps: Sequence[Mipmaps | None]
 
 
 def view_levels(levels: Sequence[Candidate], mipmaps: Sequence[Mipmaps | None], settings: TexmeshSettings) -> list[ViewedSurface]:
-    """Return levels as renders need them. mipmaps: of the textures, by material."""
-    return [prepare_surface(level.mesh, mipmaps, settings.shaded) for level in levels]
+    """Return levels as renders need them, the original first. mipmaps: of the textures, by material."""
+    original = levels[0].mesh
+    return [prepare_surface(level.mesh, mipmaps, settings.shaded, original if index else None) for index, level in enumerate(levels)]
 
 
 def count_bytes(mesh: TexturedMesh) -> int:
@@ -98,12 +100,16 @@ def choose_perceptual(compared: ComparedCandidates, settings: TexmeshSettings) -
     """Choose all levels that look different from each other.
 
     A refinement between neighboring candidates is perceptible if the coarser one is right only from farther away (Figure 11), and if
-    Weber's law says so. Others are left out only if renders do not show the difference.
+    Weber's law says so. Others are left out only if renders do not show the difference. Of more than MAX_LEVELS, those stay that have the
+    fewest triangles over all distances.
     """
     sizes = compared.pixel_sizes
     is_red = find_red_refinements(np.array(sizes)) & compared.impacts.is_noticed[: len(sizes) - 1]
     zones = find_zones(keep_visible_scales(is_red, SwitchCheck(compared.images, sizes, settings)))
     chosen = [0, *(end for _, end in zones if end)]
+    if len(chosen) > MAX_LEVELS:
+        options = _list_options(compared)
+        chosen = [chosen[index] for index in choose_levels([options[index] for index in chosen], LevelBudget(count=MAX_LEVELS))]
     return skip_finest(chosen, sizes) if settings.vertices == "optimized" else chosen
 
 

@@ -1,6 +1,6 @@
 """Triangle meshes whose corners have texture coordinates and other attributes, divided into wedges."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -28,6 +28,7 @@ class TexturedMesh:
         attributes: (W, A) float32, such as normals and colors.
         materials: (T,) int32, indices kept by the creator.
         sources: (T, 3) int32, for each corner the row of the corners that the mesh was built from.
+        has_normals: whether the first three attributes are unit normals, zero on flat faces.
     """
 
     vertices: np.ndarray
@@ -38,6 +39,7 @@ class TexturedMesh:
     attributes: np.ndarray
     materials: np.ndarray
     sources: np.ndarray
+    has_normals: bool = False
 
     @property
     def corner_uvs(self) -> np.ndarray:
@@ -54,7 +56,11 @@ class TexturedMesh:
 
 
 def build_textured_mesh(
-    mesh: TriangleMesh, corner_uvs: np.ndarray, corner_attributes: np.ndarray | None = None, name: str = "mesh"
+    mesh: TriangleMesh,
+    corner_uvs: np.ndarray,
+    corner_attributes: np.ndarray | None = None,
+    name: str = "mesh",
+    has_normals: bool = False,
 ) -> TexturedMesh:
     """Build a textured mesh from triangles with values at their corners.
 
@@ -63,6 +69,7 @@ def build_textured_mesh(
 
     Args:
         mesh: (T,) triangles. corner_uvs: (T, 3, 2). corner_attributes: (T, 3, A), None for none. name: of the object, for messages.
+        has_normals: see `TexturedMesh`.
 
     Raises:
         GeometryError: the mesh is empty, not finite or without area; texture coordinates are not finite.
@@ -90,6 +97,30 @@ def build_textured_mesh(
         attributes=values[examples // 3, examples % 3],
         materials=materials,
         sources=(3 * kept[:, None] + np.arange(3)).astype(np.int32),
+        has_normals=has_normals,
+    )
+
+
+def group_by_texture(mesh: TexturedMesh) -> np.ndarray:
+    """Return the groups (W,) int32 of wedges of a vertex with the same material and texture coordinates."""
+    materials = np.zeros(len(mesh.uvs))
+    materials[mesh.wedge_triangles.reshape(-1)] = np.repeat(mesh.materials, 3)
+    keys = np.concatenate([mesh.wedge_vertices[:, None], materials[:, None], mesh.uvs], axis=1)
+    return np.unique(keys + 0.0, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int32)  # + 0.0 makes -0.0 equal to 0.0
+
+
+def merge_wedges(mesh: TexturedMesh) -> TexturedMesh:
+    """Return `mesh` without attributes, in which wedges of a vertex with the same material and texture coordinates are one, so that only
+    seams of the texture are seams."""
+    groups = group_by_texture(mesh)
+    _, examples = np.unique(groups, return_index=True)
+    return replace(
+        mesh,
+        wedge_triangles=groups[mesh.wedge_triangles],
+        wedge_vertices=mesh.wedge_vertices[examples],
+        uvs=mesh.uvs[examples],
+        attributes=np.zeros((len(examples), 0), np.float32),
+        has_normals=False,
     )
 
 

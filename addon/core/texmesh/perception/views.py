@@ -58,14 +58,17 @@ class Render:
     coverage: np.ndarray
 
 
-def prepare_surface(mesh: TexturedMesh, textures: Sequence[Mipmaps | None], is_lit: bool = True) -> ViewedSurface:
+def prepare_surface(
+    mesh: TexturedMesh, textures: Sequence[Mipmaps | None], is_lit: bool = True, fine: TexturedMesh | None = None
+) -> ViewedSurface:
     """Return `mesh` prepared for renders.
 
     Args:
         textures: for each material its base color, linear, or None. Levels of one object share them.
-        is_lit: shade with a headlight, so that the shape of the surface counts, by smooth normals except at sharp vertices.
+        is_lit: shade with a headlight, so that the shape of the surface counts, see `find_corner_normals`.
+        fine: the mesh that `mesh` is a level of, None for none.
     """
-    corner_normals = find_corner_normals(mesh) if is_lit else None
+    corner_normals = find_corner_normals(mesh, fine) if is_lit else None
     return ViewedSurface(mesh.vertices, mesh.triangles, mesh.corner_uvs, corner_normals, mesh.materials, textures)
 
 

@@ -25,6 +25,7 @@ LABEL_POINTS = LABEL_POINTS / LABEL_POINTS.sum(axis=1, keepdims=True)
 CHUNK_POINTS = 1 << 14
 CELLS_PER_TRIANGLE = 2.0
 MAX_CELLS = 1 << 22
+MIN_EXTENT = 1e-6  # of a grid in one direction, relative to the other one
 INSIDE_TOLERANCE = 1e-9  # Tolerance of barycentric coordinates.
 NEAR_EDGES = 0.5  # Points that are farther from where their texture is, in edge lengths of the level, correspond to the nearest ones.
 UNTEXTURED = -1  # in place of the island of triangles whose texture coordinates have no area
@@ -125,7 +126,8 @@ def _divide_into_cells(corner_uvs: np.ndarray) -> _Cells:
         bound(bound(corner_uvs[:, 0], corner_uvs[:, 1]), corner_uvs[:, 2]) for bound in (np.minimum, np.maximum)
     )
     low = triangle_low.min(axis=0)
-    extent = np.maximum(triangle_high.max(axis=0) - low, 1e-300)
+    extent = triangle_high.max(axis=0) - low
+    extent = np.maximum(extent, max(MIN_EXTENT * float(extent.max()), 1e-300))
     count = min(CELLS_PER_TRIANGLE * len(corner_uvs), MAX_CELLS)
     size = np.maximum(np.sqrt(count * extent / extent[::-1]), 1.0).astype(np.int64)
     size = np.minimum(size, MAX_CELLS // size[::-1] + 1)
@@ -311,7 +313,8 @@ def find_in_triangles(
         kept = np.flatnonzero(is_kept & (uv_triangles.islands[guess] == samples.islands))
         triangles[kept], barycentric[kept] = guess[kept], coordinates[kept]
     rows = np.flatnonzero(is_textured & (triangles < 0))
-    for found, triangle, coordinates in uv_triangles.find_containing(samples.uvs[rows], samples.islands[rows]):
+    pieces = uv_triangles.find_containing(samples.uvs[rows], samples.islands[rows]) if len(rows) else ()
+    for found, triangle, coordinates in pieces:
         sample = rows[found]
         points = np.einsum("ni,nic->nc", coordinates, corners[triangle])
         distances = ((points - samples.positions[sample]) ** 2).sum(axis=1)

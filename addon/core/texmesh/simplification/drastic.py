@@ -10,8 +10,9 @@ import numpy as np
 
 from ...geometry.mesh import face_areas_and_normals
 from ..settings import TexmeshSettings
+from ..textured_mesh import group_by_texture
 from .collapse_fans import measure_uv_quality
-from .engine import CollapseEngine, group_by_texture
+from .engine import CollapseEngine
 from .topology import BOUNDARY, label_connected
 
 MAX_LOCKED_FRACTION = 0.25  # If more of the vertices of a level are locked, what can be unlocked is unlocked before all others are gone.

@@ -13,7 +13,7 @@ import numpy as np
 from ...arrays import TINY, concatenate_ranges
 from ...geometry.collapses import select_independent
 from ...geometry.mesh import vertex_normals
-from ..textured_mesh import TexturedMesh
+from ..textured_mesh import TexturedMesh, group_by_texture
 from .collapse_fans import (
     FOLD,
     SHORT_CURVE,
@@ -114,14 +114,6 @@ class RemovalOrder(Protocol):
 
     def mark_changed(self, vertices: np.ndarray) -> None:
         """Take note of `vertices` (N,) whose triangles have changed."""
-
-
-def group_by_texture(mesh: TexturedMesh) -> np.ndarray:
-    """Return the groups (W,) int32 of wedges of a vertex with the same material and texture coordinates."""
-    materials = np.zeros(len(mesh.uvs))
-    materials[mesh.wedge_triangles.reshape(-1)] = np.repeat(mesh.materials, 3)
-    keys = np.concatenate([mesh.wedge_vertices[:, None], materials[:, None], mesh.uvs], axis=1)
-    return np.unique(keys + 0.0, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int32)  # + 0.0 makes -0.0 equal to 0.0
 
 
 @dataclass(frozen=True)

@@ -125,6 +125,7 @@ def extract_level(mesh: TexturedMesh, level: SubsetLevel) -> TexturedMesh:
         attributes=mesh.attributes[used_wedges],
         materials=level.materials,
         sources=sources[level.wedge_triangles],
+        has_normals=mesh.has_normals,
     )
 
 
