@@ -24,8 +24,8 @@ import numpy as np
 
 environment.import_farfield()
 
-from farfield.addon.core.files.glb import GlbMesh, GlbNode, GlbPrimitive, GlbScene, encode_glb
-from farfield.addon.core.files.glb_materials import GlbMaterial, GlbTexture
+from farfield.addon.core.files.glb import GlbMesh, GlbPrimitive, GlbScene, encode_glb
+from farfield.addon.core.files.glb_levels import LevelNode, encode_levels
 from farfield.addon.core.files.temporary_folders import temporary_folder
 from farfield.addon.core.imaging.coded_images import encode
 
@@ -37,7 +37,7 @@ validator.validateBytes(content).then(report => console.log(JSON.stringify(repor
 
 
 def make_sphere(rings: int, material: int | None, uv_scale: float = 1.0, has_all: bool = True) -> GlbPrimitive:
-    """Return a UV sphere with normals, texture coordinates 0..`uv_scale` and colors, or with positions only."""
+    """Return a UV sphere with normals, texture coordinates 0..`uv_scale`, or with positions only."""
     polar, azimuth = np.meshgrid(np.linspace(0.0, np.pi, rings + 1), np.linspace(0.0, 2.0 * np.pi, 2 * rings + 1), indexing="ij")
     normals = np.stack([np.sin(polar) * np.cos(azimuth), np.cos(polar), np.sin(polar) * np.sin(azimuth)], axis=2).reshape(-1, 3)
     uvs = uv_scale * np.stack([azimuth / (2.0 * np.pi), 1.0 - polar / np.pi], axis=2).reshape(-1, 2)
@@ -49,28 +49,33 @@ def make_sphere(rings: int, material: int | None, uv_scale: float = 1.0, has_all
     triangles = triangles[~is_degenerate]
     if not has_all:
         return GlbPrimitive(points, triangles, material=material)
-    return GlbPrimitive(points, triangles, normals, uvs, 0.5 + 0.5 * normals, material)
+    return GlbPrimitive(points, triangles, normals, uvs, material)
 
 
-def make_scenes() -> dict[str, GlbScene]:
-    """Return the scenes by name."""
+def make_scenes() -> dict[str, tuple[GlbScene, list[LevelNode]]]:
+    """Return the scenes by name, with their nodes."""
     image = encode(np.random.default_rng(1).integers(0, 255, (64, 64, 3)).astype(np.uint8), "png")
     photo = encode(np.full((64, 64, 3), 90, np.uint8), "jpeg")
-    painted, plain = GlbMaterial("painted", texture=GlbTexture(0)), GlbMaterial("plain", (0.8, 0.2, 0.1, 1.0), is_double_sided=True)
-    one = GlbNode("object", 0)
+    painted = {"name": "painted", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}, "metallicFactor": 0.0}}
+    plain = {"name": "plain", "pbrMetallicRoughness": {"baseColorFactor": [0.8, 0.2, 0.1, 1.0]}, "doubleSided": True}
     fine = make_sphere(48, 0)
     bounds = np.stack([fine.positions.min(axis=0), fine.positions.max(axis=0)])
-    level_meshes = tuple(GlbMesh(f"level {rings}", (make_sphere(rings, 0),), bounds) for rings in (48, 24, 12))
-    level_nodes = (GlbNode("fine", 0, levels=(1, 2), coverages=(0.2, 0.02, 0.0001)), GlbNode("medium", 1), GlbNode("coarse", 2))
     moved = np.eye(4)
     moved[:3, 3] = [1.0, 2.0, 3.0]
     parts = (make_sphere(20, 0), make_sphere(12, 1), make_sphere(9, None, has_all=False))
+    levels = tuple(GlbMesh(f"level {rings}", (make_sphere(rings, 0),)) for rings in (48, 24, 12))
+    nodes = [LevelNode(mesh.name, mesh.name, bounds) for mesh in levels]
+    nodes[0] = LevelNode(nodes[0].source, "fine", bounds, levels=(1, 2), coverages=(0.2, 0.02, 0.0001))
+    one = [LevelNode("sphere", "object", bounds)]
     return {
-        "sphere": GlbScene((one,), (GlbMesh("sphere", (fine,)),), (painted,), (image,)),
-        "repeated texture": GlbScene((one,), (GlbMesh("sphere", (make_sphere(48, 0, 3.0),)),), (painted,), (photo,)),
-        "several materials": GlbScene((GlbNode("moved", 0, moved),), (GlbMesh("parts", parts),), (painted, plain), (image,)),
-        "levels": GlbScene(level_nodes, level_meshes, (painted,), (image,)),
-        "long indices": GlbScene((one,), (GlbMesh("sphere", (make_sphere(200, 0),)),), (painted,), (image,)),
+        "sphere": (GlbScene((GlbMesh("sphere", (fine,)),), (painted,), (image,)), one),
+        "repeated texture": (GlbScene((GlbMesh("sphere", (make_sphere(48, 0, 3.0),)),), (painted,), (photo,)), one),
+        "several materials": (
+            GlbScene((GlbMesh("sphere", parts),), (painted, plain), (image,)),
+            [LevelNode("sphere", "moved", bounds, moved)],
+        ),
+        "levels": (GlbScene(levels, (painted,), (image,)), nodes),
+        "long indices": (GlbScene((GlbMesh("sphere", (make_sphere(200, 0),)),), (painted,), (image,)), one),
     }
 
 
@@ -93,10 +98,10 @@ def validate_scenes(validator: Path) -> dict[str, Any]:
     """Return the sizes and issues of all scenes, plain and quantized."""
     results = {}
     with temporary_folder() as folder:
-        for name, scene in make_scenes().items():
+        for name, (scene, nodes) in make_scenes().items():
             for is_quantized in (False, True):
                 path = folder / f"{len(results)}.glb"
-                path.write_bytes(encode_glb(scene, is_quantized))
+                path.write_bytes(encode_levels(encode_glb(scene), nodes, is_quantized, {}))
                 label = f"{name}, {'quantized' if is_quantized else 'plain'}"
                 results[label] = {"bytes": path.stat().st_size, **validate(path, validator)}
     return results

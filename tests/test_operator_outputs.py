@@ -61,7 +61,7 @@ def test_levels_replace_only_levels(folder):
     call = lambda: bpy.ops.farfield.texmesh_export(filepath=str(folder / "ball.glb"))  # noqa: E731
     assert 'the level "ball-L1.glb" would replace' in refusal(call, folder)
     triangle = GlbMesh("A", (GlbPrimitive(np.eye(3), np.array([[0, 1, 2]])),))
-    (folder / "ball-L1.glb").write_bytes(encode_glb(GlbScene((), (triangle,), (), ()), False))
+    (folder / "ball-L1.glb").write_bytes(encode_glb(GlbScene((triangle,))))
     assert bpy.ops.farfield.texmesh_export(filepath=str(folder / "ball.glb")) == {"FINISHED"}
     assert [output.path.name for output in level_outputs(folder / "ball.glb")] == ["ball-L0.glb", "ball-L1.glb"]
 

@@ -127,7 +127,7 @@ def test_several_materials_become_primitives(folder):
     document = parse_glb(path.with_name("out-L1.glb"))
     assert len(document["meshes"][0]["primitives"]) == 3 and len(document["images"]) == 2
     assert all({"NORMAL", "TEXCOORD_0"} <= set(primitive["attributes"]) for primitive in document["meshes"][0]["primitives"])
-    factors = [material["pbrMetallicRoughness"]["baseColorFactor"] for material in document["materials"]]
+    factors = [material["pbrMetallicRoughness"].get("baseColorFactor", [1.0] * 4) for material in document["materials"]]
     np.testing.assert_allclose(factors, [[1.0] * 4, [1.0] * 4, [0.1, 0.4, 0.6, 1.0]], atol=1e-6)
 
 
