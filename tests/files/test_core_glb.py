@@ -116,6 +116,17 @@ def test_materials_without_light_are_marked():
     assert "KHR_materials_unlit" in read.document["extensionsUsed"]
 
 
+def test_equal_materials_with_equal_names_are_one():
+    materials = tuple({**PAINTED, "name": name} for name in "ab")
+    others = {"name": "c", "doubleSided": True}, {"name": "d"}
+    parts = tuple(primitive(material=index) for index in range(4))
+    written = GlbScene((GlbMesh("mesh", parts),), (*materials, *others), (IMAGE,))
+    names = {"a": "Wood", "b": "Wood", "c": "Paint", "d": "Paint"}
+    read = parse_glb(encode_levels(encode_glb(written), [LevelNode("mesh", "A", bounds_of(parts[0]))], True, names))
+    assert [material["name"] for material in read.materials] == ["Wood", "Paint", "Paint"]
+    assert [part.material for part in read.meshes[0].primitives] == [0, 0, 1, 2]
+
+
 def test_large_meshes_have_long_indices():
     mesh = shapes.sheet(260)
     for count, component in ((len(mesh.vertices), 5125), (60000, 5123)):

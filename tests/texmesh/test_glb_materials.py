@@ -222,6 +222,12 @@ def test_blenders_importer_brings_them_back(change, tmp_path):
     check_equal(write_with_blender(*bpy.context.scene.objects).materials[0], expected.materials[0])
 
 
+def test_the_same_scene_gives_the_same_bytes():
+    nodes = Nodes()
+    metal_and_roughness(nodes)
+    assert encode(nodes.item)[0] == encode(nodes.item)[0]
+
+
 def test_several_objects_and_materials_have_files_of_their_own_materials():
     first, second = Nodes("First"), Nodes("Second")
     blend(second)

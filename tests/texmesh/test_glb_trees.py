@@ -386,7 +386,7 @@ def test_other_missing_images_are_named():
     nodes.set(Roughness=output, Normal=nodes.add("NormalMap", 1.0, output))
     nodes.add_gltf_output(Occlusion=output)
     found, lacking = write(nodes.item)
-    assert lacking == {"Leaf": ('the image "Lost", which is missing or damaged,',)}
+    assert lacking == {"Leaf": ('the missing image "Lost"',)}
     assert found.materials[0]["pbrMetallicRoughness"]["roughnessFactor"] == 0.5
 
 

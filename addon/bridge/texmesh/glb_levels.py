@@ -28,45 +28,12 @@ from .glb_objects import GlbObjects
 from .level_sets import LevelSet
 
 GLTF = "io_scene_gltf2"  # Blender's add-on
-# All that change the file, because Blender remembers those of the last export.
 OPTIONS = {
-    "export_format": "GLB",
-    "export_image_format": "AUTO",
-    "export_materials": "EXPORT",
-    "export_vertex_color": "MATERIAL",
     "export_all_vertex_colors": False,
     "export_active_vertex_color_when_no_material": False,
-    "export_texcoords": True,
-    "export_normals": True,
-    "export_tangents": False,
-    "export_attributes": False,
-    "export_extras": False,
-    "export_yup": True,
-    "export_apply": False,
     "export_animations": False,
-    "export_skins": False,
-    "export_morph": False,
-    "export_cameras": False,
-    "export_lights": False,
     "export_current_frame": True,
-    "export_shared_accessors": False,
-    "export_gpu_instances": False,
-    "export_gn_mesh": False,
-    "export_keep_originals": False,
-    "export_image_add_webp": False,
-    "export_unused_images": False,
-    "export_unused_textures": False,
-    "export_draco_mesh_compression_enable": False,
-    "export_use_gltfpack": False,
     "export_hierarchy_full_collections": True,  # The collection need not be in a scene.
-    "at_collection_center": False,
-    "use_selection": False,
-    "use_visible": False,
-    "use_renderable": False,
-    "use_active_collection": False,
-    "use_mesh_edges": False,
-    "use_mesh_vertices": False,
-    "will_save_settings": False,
 }
 
 

@@ -24,7 +24,6 @@ COLORS = "farfield_glb_colors"  # The color attribute of exported meshes.
 EXTENSIONS = {"repeat": "REPEAT", "mirror": "MIRROR", "clamp": "EXTEND"}
 IGNORED = {"Weight", "Subsurface Radius", "Thin Wall"}  # inputs of a Principled BSDF that the exporter never reads
 MAX_SHEAR = 1e-5  # Relative to the scale of a placement; below, it is rounding.
-WRAPS = {"repeat": ("WRAP", 0.0), "mirror": ("PINGPONG", 1.0)}  # Math nodes and their second values, as the exporter reads them.
 BLACK = (0.0, 0.0, 0.0)
 # Inputs that a network of nodes may determine which only the exporter knows, and the extension that it then writes.
 NETWORKS = {
@@ -135,11 +134,11 @@ class _Writer:
     def transfer(self, source: ScopedSocket, target: bpy.types.NodeSocket) -> None:
         """Let an input of the new shader have the value of an input of the old one."""
         found = find_source(source)
-        if target.type == "VECTOR":
-            self.transfer_vector(source, found, target)
-        elif target.name in NETWORKS and not found.is_constant and not source.groups:
+        if target.name in NETWORKS and not found.is_constant and not source.groups:
             self.builder.tree.links.new(source.socket.links[0].from_socket, target)
             self.result.extended[target.name] = NETWORKS[target.name]
+        elif target.type == "VECTOR":
+            self.transfer_normal(found, target)
         elif target.name not in ("Base Color", "Alpha"):
             product = read_source_product(found)
             if product.attributes or (product.unread and not product.textures):
@@ -152,31 +151,25 @@ class _Writer:
             if self.is_there(use):
                 self.write_product(product.factor, use, target)
 
-    def transfer_vector(self, source: ScopedSocket, found: ScopedSocket, target: bpy.types.NodeSocket) -> None:
+    def transfer_normal(self, source: ScopedSocket, target: bpy.types.NodeSocket) -> None:
         """Let the new shader have a normal map of the old one."""
-        if found.is_constant:
+        lacking = self.result.lacking
+        while not source.is_constant and source.node.type == "BUMP":
+            lacking.append(source.node.label or source.node.bl_label)
+            source = source.input("Normal")
+        if source.is_constant:
             return
-        if target.name == "Tangent" and not source.groups:
-            self.builder.tree.links.new(source.socket.links[0].from_socket, target)
-            return
-        while not found.is_constant and found.node.type == "BUMP":
-            self.result.lacking.append(found.node.label or found.node.bl_label)
-            found = found.input("Normal")
-        if found.is_constant:
-            return
-        is_map = found.node.type == "NORMAL_MAP" and found.node.space == "TANGENT"
-        color = read_product(found.node.inputs["Color"], found.groups) if is_map else ColorProduct()
-        if not color.textures:
-            self.result.lacking.append(target.name)
-        if not color.textures or not self.is_there(color.textures[0]):
-            return
-        normal_map = self.builder.node("ShaderNodeNormalMap")
+        is_map = source.node.type == "NORMAL_MAP" and source.node.space == "TANGENT"
+        color = read_product(source.node.inputs["Color"], source.groups) if is_map else ColorProduct()
         use, _, unread = choose_textures(color, ColorProduct())
-        strength = read_product(found.node.inputs["Strength"], found.groups)
-        self.result.lacking += [*unread, *([] if strength.is_constant else ["Strength"])]
-        normal_map.inputs["Strength"].default_value = strength.factor[0] if strength.is_constant else 1.0
-        self.write_product(ONES, use, normal_map.inputs["Color"])
-        self.builder.connect(normal_map.outputs[0], target)
+        lacking += [*unread, *([target.name] if use is None else [])]
+        if use is not None and self.is_there(use):
+            strength = read_product(source.node.inputs["Strength"], source.groups)
+            lacking += [] if strength.is_constant else ["Strength"]
+            normal_map = self.builder.node("ShaderNodeNormalMap")
+            self.builder.connect(strength.factor[0], normal_map.inputs["Strength"])
+            self.write_product(ONES, use, normal_map.inputs["Color"])
+            self.builder.connect(normal_map.outputs[0], target)
 
     def write_color_and_alpha(self, shader: bpy.types.Node) -> None:
         """Write the inputs Base Color and Alpha, which one image stores, with the colors of vertices."""
@@ -231,7 +224,7 @@ class _Writer:
         """Return whether the file of an image can be read, and note if it cannot."""
         if use is None or all(use.image.size):
             return True
-        self.result.lacking.append(f'the image "{use.image.name}", which is missing or damaged,')
+        self.result.lacking.append(f'the missing image "{use.image.name}"')
         return False
 
     def check_occlusion(self) -> None:
@@ -270,50 +263,42 @@ class _Writer:
 
     def write_texture(self, use: TextureUse, is_color: bool, drops_alpha: bool) -> bpy.types.NodeSocket:
         """Add an image with its placement, and return the output that is used."""
-        builder, matrix = self.builder, use.matrix
+        builder, placement = self.builder, _split(use.matrix)
         if use.image.source == "TILED":
             self.result.lacking.append(f'further tiles of the image "{use.image.name}"')
+        if placement is None:
+            self.result.lacking.append("Mapping")
+        if use.is_cut:
+            self.result.cuts.append((use.uv_map, use.matrix))
         node = builder.node("ShaderNodeTexImage", {"image": self.images.prepare(use.image, is_color, drops_alpha)})
         node.interpolation = "Closest" if use.is_nearest else "Linear"
         node.extension = EXTENSIONS[use.wrap[0]] if use.wrap[0] == use.wrap[1] else "EXTEND"
-        placement = _split(matrix)
-        if placement is None:
-            self.result.lacking.append("Mapping")
-            matrix = np.eye(2, 3)
-        if use.is_cut:
-            self.result.cuts.append((use.uv_map, matrix))
-        coordinates = builder.node("ShaderNodeUVMap", {"uv_map": use.uv_map}).outputs[0] if use.uv_map else None
+        if use.uv_map:
+            coordinates = builder.node("ShaderNodeUVMap", {"uv_map": use.uv_map}).outputs[0]
+        else:
+            coordinates = builder.node("ShaderNodeTexCoord").outputs["UV"]
         if placement is not None and use.is_moved:
-            coordinates = self.write_mapping(coordinates, *placement)
+            mapping = builder.node("ShaderNodeMapping", {"vector_type": "POINT"})
+            for target, value in zip(mapping.inputs, (coordinates, *placement), strict=True):
+                builder.connect(value, target)
+            coordinates = mapping.outputs[0]
         if use.wrap[0] != use.wrap[1]:
-            coordinates = self.write_wrap(coordinates, use.wrap)
-        if coordinates is not None:
-            builder.connect(coordinates, node.inputs["Vector"])
+            coordinates = self.wrap(coordinates, use.wrap)
+        builder.connect(coordinates, node.inputs["Vector"])
         if use.channel in CHANNELS:
             return builder.separate_color(node.outputs["Color"])[CHANNELS.index(use.channel)]
         return node.outputs[use.channel]
 
-    def write_mapping(self, coordinates: bpy.types.NodeSocket | None, *placement: tuple[float, float, float]) -> bpy.types.NodeSocket:
-        """Return coordinates that are scaled, turned and moved."""
-        mapping = self.builder.node("ShaderNodeMapping", {"vector_type": "POINT"})
-        for name, value in zip(("Location", "Rotation", "Scale"), placement, strict=True):
-            mapping.inputs[name].default_value = value
-        self.builder.connect(self.coordinates(coordinates), mapping.inputs["Vector"])
-        return mapping.outputs[0]
-
-    def write_wrap(self, coordinates: bpy.types.NodeSocket | None, wrap: tuple[str, str]) -> bpy.types.NodeSocket:
-        """Return coordinates that are wrapped differently along u and v."""
-        parts = []
-        for part, kind in zip(self.builder.separate(self.coordinates(coordinates))[:2], wrap, strict=True):
-            operation, second = WRAPS.get(kind, ("", 0.0))
-            parts.append(self.builder.math(operation, part, second) if operation else part)
-            if operation == "WRAP":
-                parts[-1].node.inputs[2].default_value = 1.0
+    def wrap(self, coordinates: bpy.types.NodeSocket, kinds: tuple[str, str]) -> bpy.types.NodeSocket:
+        """Return coordinates that are wrapped differently along u and v, with the nodes that the exporter knows."""
+        parts = self.builder.separate(coordinates)[:2]
+        for axis, kind in enumerate(kinds):
+            if kind == "mirror":
+                parts[axis] = self.builder.math("PINGPONG", parts[axis], 1.0)
+            elif kind == "repeat":
+                parts[axis] = self.builder.math("WRAP", parts[axis], 0.0)
+                parts[axis].node.inputs[2].default_value = 1.0
         return self.builder.combine(*parts, 0.0)
-
-    def coordinates(self, found: bpy.types.NodeSocket | None) -> bpy.types.NodeSocket:
-        """Return coordinates, those of the active UV map for None."""
-        return self.builder.node("ShaderNodeTexCoord").outputs["UV"] if found is None else found
 
 
 def _list_values(surface: MaterialSurface) -> Mapping[str, Value]:

@@ -14,6 +14,7 @@ from .glb_materials import COLORS, GlbMaterial, rewrite_for_glb
 from .level_sets import MATERIAL
 
 NAME = "Farfield Export"
+NUMBER_SUFFIX = re.compile(r"\.\d+$")  # that Blender adds to names of copies
 
 
 class GlbObjects:
@@ -126,7 +127,8 @@ class GlbObjects:
 def _find_name(material: bpy.types.Material) -> str:
     """Return the name that a material of levels has in files: that of its original, unless it was renamed or has textures of its own."""
     original = str(material.get(MATERIAL, material.name))
-    return original if re.fullmatch(re.escape(original) + r"(\.\d+)?", material.name) else material.name
+    stems = {NUMBER_SUFFIX.sub("", name) for name in (original, material.name)}
+    return original if len(stems) == 1 else material.name
 
 
 def _write_colors(data: bpy.types.Mesh, mesh: EvaluatedMesh, shown: dict[int, GlbMaterial]) -> None:

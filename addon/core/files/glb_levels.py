@@ -89,7 +89,7 @@ def encode_levels(
     missing = [node.name for node in nodes if node.source not in meshes]
     if missing:
         raise GeometryError(f'"{missing[0]}" has no triangles to write; choose an object with a surface.')
-    _rename_materials(document, names, unlit)
+    _merge(document, names, unlit)
     order = {mesh: index for index, mesh in enumerate(dict.fromkeys(meshes[node.source] for node in nodes))}
     grids = {meshes[node.source]: _position_grid(node.bounds) for node in nodes} if is_quantized else {}
     labels = {meshes[node.source]: node.name for node in reversed(nodes)}
@@ -201,18 +201,26 @@ def _join_vertices(attributes: Sequence[np.ndarray]) -> tuple[np.ndarray, np.nda
     return kept, places[inverse.ravel()]
 
 
-def _rename_materials(document: dict[str, Any], names: Mapping[str, str], unlit: Collection[str]) -> None:
-    """Give materials their final names, let those of `unlit` be shown without light, and let equal ones be one."""
-    kept: dict[str, int] = {}
-    indices = []
+def _merge(document: dict[str, Any], names: Mapping[str, str], unlit: Collection[str]) -> None:
+    """Give materials their final names, let those of `unlit` be shown without light, and let equal textures and materials be one."""
+    textures = _keep_first(document, "textures")
     for material in document.get("materials", ()):
         material |= {"extensions": {UNLIT: {}}} if material.get("name") in unlit else {}
         material["name"] = names.get(material.get("name", ""), material.get("name", ""))
-        indices.append(kept.setdefault(json.dumps(material, sort_keys=True), len(kept)))
-    document["materials"] = [json.loads(text) for text in kept]
+        for texture in _textures(material):
+            texture["index"] = textures[texture["index"]]
+    materials = _keep_first(document, "materials")
     for mesh in document["meshes"]:
         for part in mesh["primitives"]:
-            part |= {"material": indices[part["material"]]} if "material" in part else {}
+            part |= {"material": materials[part["material"]]} if "material" in part else {}
+
+
+def _keep_first(document: dict[str, Any], key: str) -> list[int]:
+    """Remove repetitions from a list of a document, and return the new index of each item."""
+    kept: dict[str, int] = {}
+    indices = [kept.setdefault(json.dumps(item, sort_keys=True), len(kept)) for item in document.get(key, ())]
+    document[key] = [json.loads(text) for text in kept]
+    return indices
 
 
 def _move_placement(placement: Mapping[str, Any], grid: _Grid) -> dict[str, list[float]]:
