@@ -14,6 +14,7 @@ import texmesh_files
 import texmesh_models
 from PIL import Image
 
+from farfield.addon.core.files.glb import split_glb
 from farfield.addon.core.geometry.mesh import TriangleMesh, longest_side
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
@@ -229,7 +230,7 @@ def read_image(source: Path | io.BytesIO) -> np.ndarray:
 
 def read_glb_images(path: Path, count: int) -> list[np.ndarray | None]:
     """Return the base color textures of the materials of a .glb."""
-    document, binary = texmesh_files.split_glb(path)
+    document, binary = split_glb(path.read_bytes())
     images: list[np.ndarray | None] = []
     for material in document["materials"][:count]:
         texture = material.get("pbrMetallicRoughness", {}).get("baseColorTexture")

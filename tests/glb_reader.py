@@ -77,11 +77,7 @@ def parse_glb(content: bytes) -> ReadGlb:
 
 
 def _read_primitive(document: dict[str, Any], binary: memoryview, part: dict[str, Any]) -> ReadPrimitive:
-    attributes = {}
-    for name, index in part["attributes"].items():
-        values = read_accessor(document, binary, index)
-        is_normalized = document["accessors"][index].get("normalized", False)
-        attributes[name] = np.maximum(values / np.iinfo(values.dtype).max, -1.0) if is_normalized else values.astype(np.float64)
+    attributes = {name: read_accessor(document, binary, index).astype(np.float64) for name, index in part["attributes"].items()}
     triangles = read_accessor(document, binary, part["indices"]).reshape(-1, 3).astype(np.int64)
     return ReadPrimitive(attributes, triangles, part.get("material"))
 

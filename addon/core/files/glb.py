@@ -148,13 +148,14 @@ def split_glb(content: bytes) -> tuple[dict[str, Any], memoryview]:
 
 
 def read_accessor(document: dict[str, Any], binary: memoryview, index: int) -> np.ndarray:
-    """Return the values (N, C) of an accessor as they are stored."""
+    """Return the values (N, C) of an accessor: numbers as they are stored, or float64 from normalized integers."""
     accessor = document["accessors"][index]
     view = document["bufferViews"][accessor["bufferView"]]
     dtype, width = DTYPES[accessor["componentType"]], WIDTHS[accessor["type"]]
     start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
     strides = (view.get("byteStride", dtype.itemsize * width), dtype.itemsize)
-    return np.ndarray((accessor["count"], width), dtype, binary, start, strides)
+    values = np.ndarray((accessor["count"], width), dtype, binary, start, strides)
+    return np.maximum(values / np.iinfo(dtype).max, -1.0) if accessor.get("normalized", False) else values
 
 
 def is_own_glb(path: Path) -> bool:

@@ -58,11 +58,8 @@ class _File:
     binary: memoryview
 
     def read(self, index: int) -> np.ndarray:
-        """Return the values (N, C) of an accessor: numbers as stored, or floats from normalized integers."""
-        values = read_accessor(self.document, self.binary, index)
-        if self.document["accessors"][index].get("normalized", False):
-            return (values / np.iinfo(values.dtype).max).astype(np.float64)
-        return values
+        """Return the values (N, C) of an accessor, see `read_accessor`."""
+        return read_accessor(self.document, self.binary, index)
 
     def primitives(self) -> Iterator[dict[str, Any]]:
         """Yield the primitives of all meshes."""
