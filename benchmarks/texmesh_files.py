@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from farfield.addon.core.errors import GeometryError
-from farfield.addon.core.files.glb import read_accessor, split_glb
+from farfield.addon.core.files.glb import load_glb
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 
@@ -65,7 +65,7 @@ def read_glb(path: Path) -> TexturedMesh:
 
     Materials keep their numbers, or those of `write_obj`.
     """
-    document, binary = split_glb(path.read_bytes())
+    document = load_glb(path.read_bytes())
     names: dict[str, int] = {}
     numbers = [_find_material(entry.get("name", str(index)), names) for index, entry in enumerate(document.get("materials", []))]
     points, uvs, triangles, materials = [], [], [], []
@@ -74,10 +74,10 @@ def read_glb(path: Path) -> TexturedMesh:
         for primitive in document["meshes"][node["mesh"]]["primitives"] if "mesh" in node else []:
             if "TEXCOORD_0" not in primitive["attributes"]:
                 continue
-            positions = read_accessor(document, binary, primitive["attributes"]["POSITION"])
+            positions = primitive["attributes"]["POSITION"].astype(np.float64)
             points.append(positions @ matrix[:3, :3].T + matrix[:3, 3])
-            uvs.append(read_accessor(document, binary, primitive["attributes"]["TEXCOORD_0"]) * [1.0, -1.0] + [0.0, 1.0])
-            faces = read_accessor(document, binary, primitive["indices"]).reshape(-1, 3).astype(np.int64)
+            uvs.append(primitive["attributes"]["TEXCOORD_0"] * [1.0, -1.0] + [0.0, 1.0])
+            faces = primitive["indices"].reshape(-1, 3)
             triangles.append(faces + offset)
             materials.append(np.full(len(faces), numbers[primitive["material"]] if "material" in primitive else 0, np.int32))
             offset += len(positions)

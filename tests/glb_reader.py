@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from farfield.addon.core.files.glb import read_accessor, split_glb
+from farfield.addon.core.files.glb import Document, load_glb
 from farfield.addon.core.files.glb_levels import LEVELS, SCREEN_COVERAGE, TEXTURE_TRANSFORM
 
 
@@ -66,28 +66,24 @@ def read_glb(path: Path) -> ReadGlb:
 
 def parse_glb(content: bytes) -> ReadGlb:
     """Return the content of a file in memory."""
-    document, binary = split_glb(content)
-    meshes = tuple(
-        ReadMesh(mesh["name"], tuple(_read_primitive(document, binary, part) for part in mesh["primitives"])) for mesh in document["meshes"]
-    )
-    views = [document["bufferViews"][image["bufferView"]] for image in document.get("images", ())]
-    images = tuple(bytes(binary[view.get("byteOffset", 0) :][: view["byteLength"]]) for view in views)
+    return read_document(load_glb(content))
+
+
+def read_document(document: Document) -> ReadGlb:
+    """Return the content of a document with arrays."""
+    meshes = tuple(ReadMesh(mesh["name"], tuple(map(_read_primitive, mesh["primitives"]))) for mesh in document["meshes"])
+    images = tuple(image["content"] for image in document.get("images", ()))
     materials = tuple(_resolve(document, images, material) for material in document.get("materials", ()))
     return ReadGlb(document, tuple(_read_node(node) for node in document["nodes"] if "mesh" in node), meshes, materials, images)
 
 
-def _read_primitive(document: dict[str, Any], binary: memoryview, part: dict[str, Any]) -> ReadPrimitive:
-    attributes = {name: read_accessor(document, binary, index).astype(np.float64) for name, index in part["attributes"].items()}
-    triangles = read_accessor(document, binary, part["indices"]).reshape(-1, 3).astype(np.int64)
-    return ReadPrimitive(attributes, triangles, part.get("material"))
+def _read_primitive(part: Document) -> ReadPrimitive:
+    attributes = {name: values.astype(np.float64) for name, values in part["attributes"].items()}
+    return ReadPrimitive(attributes, part["indices"].reshape(-1, 3), part.get("material"))
 
 
 def _read_node(node: dict[str, Any]) -> ReadNode:
-    if "matrix" in node:
-        matrix = np.array(node["matrix"], np.float64).reshape(4, 4).T
-    else:
-        matrix = np.diag([*node.get("scale", (1.0, 1.0, 1.0)), 1.0])
-        matrix[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
+    matrix = np.array(node.get("matrix", np.eye(4)), np.float64).reshape(4, 4).T
     levels = node.get("extensions", {}).get(LEVELS, {}).get("ids", ())
     return ReadNode(node["name"], node["mesh"], matrix, tuple(levels), tuple(node.get("extras", {}).get(SCREEN_COVERAGE, ())))
 

@@ -7,10 +7,10 @@ import pytest
 from bridge.blender_scenes import shader_of
 from farfield.addon.bridge.texmesh.glb_levels import export_collection
 from farfield.addon.bridge.texmesh.glb_objects import GlbObjects
-from farfield.addon.core.files.glb import split_glb
-from farfield.addon.core.files.glb_levels import LevelNode, encode_levels
+from farfield.addon.core.files.glb import save_glb
+from farfield.addon.core.files.glb_levels import LevelNode, arrange_levels
 from farfield.addon.core.imaging.coded_images import decode
-from glb_reader import ReadGlb, parse_glb
+from glb_reader import ReadGlb, parse_glb, read_document
 from textured_scenes import textured_material
 
 BOUNDS = np.array([[-2.0] * 3, [2.0] * 3])
@@ -121,10 +121,10 @@ def square(name: str, *materials: bpy.types.Material) -> bpy.types.Object:
 def encode(*items: bpy.types.Object, is_quantized: bool = False) -> tuple[bytes, dict[str, tuple[str, ...]]]:
     """Return a file of objects as levels have it, and what it lacks."""
     with GlbObjects() as objects:
-        nodes = [LevelNode(objects.add(item, "Level"), item.name, BOUNDS) for item in items]
-        content = export_collection(objects.collection)
-        objects.note_document(split_glb(content)[0])
-        encoded = encode_levels(content, nodes, is_quantized, objects.material_names, objects.unlit)
+        nodes = [LevelNode(objects.add(item, "Level"), item.name, BOUNDS, np.eye(4)) for item in items]
+        document = export_collection(objects.collection)
+        objects.note_document(document)
+        encoded = save_glb(arrange_levels(document, nodes, is_quantized, objects.material_names, objects.unlit))
         return encoded, {name: labels for name, labels in objects.lacking.items() if name != "Level"}
 
 
@@ -141,7 +141,7 @@ def write_with_blender(*items: bpy.types.Object) -> ReadGlb:
         for other in item.users_collection:
             other.objects.unlink(item)
         collection.objects.link(item)
-    return parse_glb(export_collection(collection))
+    return read_document(export_collection(collection))
 
 
 def check_equal(found: object, expected: object, path: str = "") -> None:

@@ -60,26 +60,18 @@ def read_surface(material: bpy.types.Material) -> MaterialSurface:
     if output is None:
         return MaterialSurface(None, WHITE, WHITE, None, ())
     found = _find_shader(find_source(ScopedSocket(output.inputs["Surface"])))
-    shader, alpha, cutoff = found.shader, found.alpha, found.cutoff
-    if shader is None:
-        return MaterialSurface(None, WHITE, WHITE, None, found.mixed, found.mixed)
-    color_input = find_color_input(shader.node)
-    color = WHITE if color_input is None else read_product(color_input, shader.groups)
-    own = next((item for item in shader.node.inputs if item.name == "Alpha"), None)
+    if found.shader is None:
+        return replace(found, alpha=WHITE, alpha_cutoff=None, unread=found.mixed)
+    color_input = find_color_input(found.shader)
+    color = WHITE if color_input is None else read_product(color_input, found.groups)
+    alpha, cutoff = found.alpha, found.alpha_cutoff
+    own = next((item for item in found.shader.inputs if item.name == "Alpha"), None)
     if own is not None:
-        own_alpha, own_cutoff = _read_alpha(find_source(ScopedSocket(own, shader.groups)))
+        own_alpha, own_cutoff = _read_alpha(find_source(ScopedSocket(own, found.groups)))
         alpha, cutoff = alpha.times(own_alpha), own_cutoff if cutoff is None else cutoff
-    return MaterialSurface(
-        shader=shader.node,
-        color=color,
-        alpha=alpha,
-        alpha_cutoff=cutoff,
-        unread=(*found.mixed, *_list_inputs(shader.node, color_input)),
-        mixed=found.mixed,
-        groups=shader.groups,
-        emission=found.emission,
-        is_shadeless=found.is_for_cameras and shader.node.type == "EMISSION",
-    )
+    unread = (*found.mixed, *_list_inputs(found.shader, color_input))
+    is_shadeless = found.is_shadeless and found.shader.type == "EMISSION"
+    return replace(found, color=color, alpha=alpha, alpha_cutoff=cutoff, unread=unread, is_shadeless=is_shadeless)
 
 
 def choose_textures(color: ColorProduct, alpha: ColorProduct) -> tuple[TextureUse | None, TextureUse | None, tuple[str, ...]]:
@@ -111,30 +103,9 @@ def find_color_input(node: bpy.types.Node) -> bpy.types.NodeSocket | None:
     return next((item for item in found if item.links), found[0] if found else None)
 
 
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """The first shader with a color before an output, and what it is mixed with, as in `MaterialSurface`.
-
-    Attributes:
-        shader: its output.
-        alpha: its opacity against transparent shaders.
-        cutoff: that of the opacity.
-        mixed: labels of nodes that are left out.
-        emission: the output of a shader that is added.
-        is_for_cameras: whether other rays than those of cameras see another shader.
-    """
-
-    shader: ScopedSocket | None = None
-    alpha: ColorProduct = WHITE
-    cutoff: float | None = None
-    mixed: tuple[str, ...] = ()
-    emission: ScopedSocket | None = None
-    is_for_cameras: bool = False
-
-
-def _find_shader(source: ScopedSocket) -> _Found:
-    """Return the first shader with a color before `source`, and what it is mixed with."""
-    found = _Found()
+def _find_shader(source: ScopedSocket) -> MaterialSurface:
+    """Return the first shader with a color before `source`, its opacity against transparent shaders, and what it is mixed with."""
+    found = MaterialSurface(None, WHITE, WHITE, None, ())
     for _ in range(MAX_SHADERS):
         if source.is_constant:
             return found
@@ -146,9 +117,9 @@ def _find_shader(source: ScopedSocket) -> _Found:
             if hidden in ([True, False], [False, True]):
                 is_for_cameras = not factor.is_constant and factor.node.type == "LIGHT_PATH"
                 opacity, edge = _read_opacity(factor, hidden[1])
-                cutoff = edge if found.cutoff is None else found.cutoff
-                alpha = found.alpha.times(opacity)
-                found = replace(found, alpha=alpha, cutoff=cutoff, is_for_cameras=found.is_for_cameras or is_for_cameras)
+                cutoff = edge if found.alpha_cutoff is None else found.alpha_cutoff
+                alpha, is_shadeless = found.alpha.times(opacity), found.is_shadeless or is_for_cameras
+                found = replace(found, alpha=alpha, alpha_cutoff=cutoff, is_shadeless=is_shadeless)
                 source = second if hidden[0] else first
             elif fraction.is_constant and fraction.factor[0] in (0.0, 1.0):
                 source = second if fraction.factor[0] else first
@@ -159,9 +130,10 @@ def _find_shader(source: ScopedSocket) -> _Found:
             lights = [item for item in shown if item.node.type == "EMISSION"]
             if len(shown) == 2 and len(lights) == 1 and found.emission is None:
                 found, shown = replace(found, emission=lights[0]), [item for item in shown if item != lights[0]]
-            found, source = replace(found, mixed=(*found.mixed, node.bl_label)), shown[0] if shown else source.input(0)
+            found, source = replace(found, mixed=(*found.mixed, node.bl_label)), shown[0] if shown else source.input(1)
         else:
-            return replace(found, shader=source) if find_color_input(node) is not None else found
+            is_colored = find_color_input(node) is not None
+            return replace(found, shader=node, groups=source.groups) if is_colored else found
     return found
 
 

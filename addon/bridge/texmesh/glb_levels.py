@@ -16,8 +16,8 @@ import numpy as np
 from ...core.errors import FileError
 from ...core.files.atomic_write import atomic_folder
 from ...core.files.file_access import convert_os_errors
-from ...core.files.glb import Y_UP, is_own_glb, split_glb
-from ...core.files.glb_levels import LevelNode, encode_levels
+from ...core.files.glb import Y_UP, Document, is_own_glb, load_glb, save_glb
+from ...core.files.glb_levels import LevelNode, arrange_levels
 from ...core.files.outputs import Output
 from ...core.files.temporary_folders import temporary_folder
 from ...core.messages import describe_lacking
@@ -53,9 +53,10 @@ def write_levels(
     with GlbObjects() as objects, atomic_folder(path.parent) as folder:
         for number, target in enumerate(paths):
             nodes = list_nodes(sets, objects, None if is_one_file else number)
-            content = export_collection(objects.collection)
-            objects.note_document(split_glb(content)[0])
-            (folder / target.name).write_bytes(encode_levels(content, nodes, is_quantized, objects.material_names, objects.unlit))
+            document = export_collection(objects.collection)
+            objects.note_document(document)
+            arranged = arrange_levels(document, nodes, is_quantized, objects.material_names, objects.unlit)
+            (folder / target.name).write_bytes(save_glb(arranged))
         lacking = objects.lacking
     return paths, describe_lacking(lacking, "The .glb" if is_one_file else "Each .glb")
 
@@ -97,8 +98,8 @@ def list_nodes(sets: Sequence[LevelSet], objects: GlbObjects, number: int | None
     return nodes
 
 
-def export_collection(collection: bpy.types.Collection) -> bytes:
-    """Return the file that Blender's exporter writes of a collection.
+def export_collection(collection: bpy.types.Collection) -> Document:
+    """Return the document of the file that Blender's exporter writes of a collection.
 
     Raises:
         FileError: it cannot write an image or the file.
@@ -119,7 +120,7 @@ def export_collection(collection: bpy.types.Collection) -> bytes:
     messages = [line.partition("ERROR: ")[2] for line in errors.getvalue().splitlines() if "ERROR: " in line]
     if messages:  # such as an image that it could not write
         raise FileError(f"Blender's glTF exporter failed: {messages[-1]}. Free disk space and try again.")
-    return content
+    return load_glb(content)
 
 
 @contextmanager

@@ -1,6 +1,6 @@
-"""Binary glTF 2.0 files (.glb): their chunks and accessors, and writing of textured meshes in single precision.
+"""Binary glTF 2.0 files (.glb), read and written as their document with arrays and images in place of references to the binary chunk.
 
-Texture coordinates have v upwards in `GlbPrimitive`, as in Blender, and downwards in the file.
+In such a document, `attributes` and `indices` of primitives are arrays, and images have their file as `content`.
 """
 
 import json
@@ -28,54 +28,19 @@ GENERATOR = "Farfield"
 ASSET = {"version": "2.0", "generator": GENERATOR}
 MAX_ASSET_BYTES = 256  # The document begins with the name of the program that wrote it.
 IMAGE_TYPES = {PNG_SIGNATURE: "image/png", b"\xff\xd8\xff": "image/jpeg"}  # first bytes of the content
-
-
-@dataclass(frozen=True, eq=False)
-class GlbPrimitive:
-    """Triangles with one material.
-
-    Attributes:
-        positions: (V, 3) floats, y upwards as in glTF, in any unit (meters by its convention).
-        triangles: (T, 3) integers into the vertices, counter-clockwise seen from outside.
-        normals: (V, 3), unit vectors.
-        uvs: (V, 2), v upwards.
-        material: index into the materials of the scene.
-    """
-
-    positions: np.ndarray
-    triangles: np.ndarray
-    normals: np.ndarray | None = None
-    uvs: np.ndarray | None = None
-    material: int | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class GlbMesh:
-    """A mesh, and the name of the node that shows it."""
-
-    name: str
-    primitives: tuple[GlbPrimitive, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class GlbScene:
-    """The content of a file. materials: as in the file; texture N shows image N. images: PNG or JPEG files as bytes."""
-
-    meshes: tuple[GlbMesh, ...]
-    materials: tuple[dict[str, Any], ...] = ()
-    images: tuple[bytes, ...] = ()
+Document = dict[str, Any]
 
 
 @dataclass(eq=False)
-class GlbBuffer:
+class _Buffer:
     """The binary chunk with its views and accessors, while they are collected."""
 
     parts: list[bytes] = field(default_factory=list)
     length: int = 0
-    views: list[dict[str, Any]] = field(default_factory=list)
-    accessors: list[dict[str, Any]] = field(default_factory=list)
+    views: list[Document] = field(default_factory=list)
+    accessors: list[Document] = field(default_factory=list)
 
-    def add_view(self, content: bytes, properties: dict[str, Any]) -> int:
+    def add_view(self, content: bytes, properties: Document) -> int:
         """Append `content` at a multiple of four bytes and return the index of its view."""
         self.views.append({"buffer": 0, "byteOffset": self.length, "byteLength": len(content), **properties})
         padded = content + bytes(-len(content) % 4)
@@ -83,72 +48,76 @@ class GlbBuffer:
         self.length += len(padded)
         return len(self.views) - 1
 
-    def add_indices(self, triangles: np.ndarray, vertex_count: int) -> int:
-        """Append an accessor for the corners of `triangles`, and return its index."""
-        values = triangles.reshape(-1, 1).astype("<u2" if vertex_count <= MAX_SHORT_VERTICES else "<u4")
-        view = self.add_view(values.tobytes(), {"target": INDEX_BUFFER})
-        return self._add_accessor(view, values, {})
+    def add_primitive(self, part: Document) -> Document:
+        """Append the arrays of a primitive, and return it with their accessors: integers of attributes are fractions of the largest."""
+        attributes = {name: self.add_attribute(values, name == "POSITION") for name, values in part["attributes"].items()}
+        count = len(part["attributes"]["POSITION"])
+        indices = part["indices"].reshape(-1, 1).astype("<u2" if count <= MAX_SHORT_VERTICES else "<u4")
+        view = self.add_view(indices.tobytes(), {"target": INDEX_BUFFER})
+        return {**part, "attributes": attributes, "indices": self.add_accessor(view, indices, {})}
 
-    def add_attribute(self, values: np.ndarray, is_normalized: bool = False, has_limits: bool = False) -> int:
-        """Append an accessor for `values` (V, C) of a type in COMPONENTS, and return its index. Vertices are padded to four bytes."""
+    def add_attribute(self, values: np.ndarray, has_limits: bool) -> int:
+        """Append an accessor for `values` (V, C) and return its index. Vertices are padded to four bytes."""
+        is_float = values.dtype.kind == "f"
+        values = np.ascontiguousarray(values, "<f4" if is_float else values.dtype.newbyteorder("<"))
         row = values.itemsize * values.shape[1]
         stride = row + -row % 4
         rows = np.zeros((len(values), stride), np.uint8)
-        rows[:, :row] = np.ascontiguousarray(values, values.dtype.newbyteorder("<")).view(np.uint8).reshape(len(values), row)
+        rows[:, :row] = values.view(np.uint8).reshape(len(values), row)
         view = self.add_view(rows.tobytes(), {"byteStride": stride, "target": VERTEX_BUFFER})
-        properties: dict[str, Any] = {"normalized": True} if is_normalized else {}
-        if has_limits:
-            properties |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
-        return self._add_accessor(view, values, properties)
+        properties: Document = {} if is_float else {"normalized": True}
+        properties |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()} if has_limits else {}
+        return self.add_accessor(view, values, properties)
 
-    def _add_accessor(self, view: int, values: np.ndarray, properties: dict[str, Any]) -> int:
+    def add_accessor(self, view: int, values: np.ndarray, properties: Document) -> int:
+        """Append an accessor for what a view holds, and return its index."""
         component = COMPONENTS[values.dtype.str[1:]]
-        shape = {"componentType": component, "count": len(values), "type": TYPES[values.shape[1]]}
-        self.accessors.append({"bufferView": view, **shape, **properties})
+        self.accessors.append(
+            {"bufferView": view, "componentType": component, "count": len(values), "type": TYPES[values.shape[1]], **properties}
+        )
         return len(self.accessors) - 1
 
-    def join(self, document: dict[str, Any]) -> bytes:
-        """Return a file with this buffer and the rest of its `document`.
 
-        Raises:
-            FileError: it would be larger than 4 GB. GeometryError: the document has numbers that are not finite.
-        """
-        document = {"asset": ASSET, "scene": 0, **{key: value for key, value in document.items() if value}}
-        document |= {"accessors": self.accessors, "bufferViews": self.views, "buffers": [{"byteLength": self.length}]}
-        try:
-            text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode("ascii")
-        except ValueError as error:
-            raise GeometryError("Numbers of objects or materials are not finite; reset transformations and colors.") from error
-        text += b" " * (-len(text) % 4)
-        length = 12 + 8 + len(text) + 8 + self.length
-        if length > MAX_FILE_BYTES:
-            raise FileError(f"A glTF file of {length / 1e9:.1f} GB would be larger than 4 GB; write fewer levels or smaller images.")
-        chunks = [struct.pack("<4sIIII", MAGIC, VERSION, length, len(text), JSON_CHUNK), text]
-        return b"".join([*chunks, struct.pack("<II", self.length, BINARY_CHUNK), *self.parts])
-
-
-def encode_glb(scene: GlbScene) -> bytes:
-    """Return `scene` as a binary glTF 2.0 file, with a node per mesh.
+def save_glb(document: Document) -> bytes:
+    """Return a document as a file of Farfield. Floats get single precision. The same document gives the same bytes.
 
     Raises:
-        FileError: it would be larger than 4 GB, or an image is neither PNG nor JPEG.
+        FileError: it would be larger than 4 GB, or an image is neither PNG nor JPEG. GeometryError: it has numbers that are not finite.
     """
-    buffer = GlbBuffer()
-    meshes = [{"name": mesh.name, "primitives": [_encode_primitive(buffer, part) for part in mesh.primitives]} for mesh in scene.meshes]
-    images = [{"bufferView": buffer.add_view(content, {}), "mimeType": find_image_type(content)} for content in scene.images]
-    nodes = [{"name": mesh.name, "mesh": index} for index, mesh in enumerate(scene.meshes)]
-    document = {"scenes": [{"nodes": list(range(len(nodes)))}], "nodes": nodes, "meshes": meshes, "materials": list(scene.materials)}
-    return buffer.join({**document, "textures": [{"source": index} for index in range(len(images))], "images": images})
+    buffer = _Buffer()
+    meshes = [{**mesh, "primitives": [buffer.add_primitive(part) for part in mesh["primitives"]]} for mesh in document["meshes"]]
+    images = [{**image, "bufferView": buffer.add_view(image["content"], {})} for image in document.get("images", ())]
+    for image in images:
+        image["mimeType"] = find_image_type(image.pop("content"))
+    result = {"asset": ASSET, "scene": 0, **{key: value for key, value in document.items() if value}, "meshes": meshes}
+    result |= {"images": images} if images else {}
+    result |= {"accessors": buffer.accessors, "bufferViews": buffer.views, "buffers": [{"byteLength": buffer.length}]}
+    try:
+        text = json.dumps(result, separators=(",", ":"), allow_nan=False).encode("ascii")
+    except ValueError as error:
+        raise GeometryError("Numbers of objects or materials are not finite; reset transformations and colors.") from error
+    text += b" " * (-len(text) % 4)
+    length = 12 + 8 + len(text) + 8 + buffer.length
+    if length > MAX_FILE_BYTES:
+        raise FileError(f"A glTF file of {length / 1e9:.1f} GB would be larger than 4 GB; write fewer levels or smaller images.")
+    chunks = [struct.pack("<4sIIII", MAGIC, VERSION, length, len(text), JSON_CHUNK), text]
+    return b"".join([*chunks, struct.pack("<II", buffer.length, BINARY_CHUNK), *buffer.parts])
 
 
-def split_glb(content: bytes) -> tuple[dict[str, Any], memoryview]:
-    """Return the document and the binary chunk of a complete file."""
+def load_glb(content: bytes) -> Document:
+    """Return the document of a complete file that refers to no other file. Normalized integers become float64."""
     length = struct.unpack_from("<I", content, 12)[0]
-    return json.loads(content[20 : 20 + length]), memoryview(content)[28 + length :]
+    document, binary = json.loads(content[20 : 20 + length]), memoryview(content)[28 + length :]
+    for part in (part for mesh in document["meshes"] for part in mesh["primitives"]):
+        part["attributes"] = {name: _read_accessor(document, binary, index) for name, index in part["attributes"].items()}
+        part["indices"] = _read_accessor(document, binary, part["indices"]).ravel().astype(np.int64)
+    for image in document.get("images", ()):
+        view = document["bufferViews"][image.pop("bufferView")]
+        image["content"] = bytes(binary[view.get("byteOffset", 0) :][: view["byteLength"]])
+    return {key: value for key, value in document.items() if key not in ("asset", "accessors", "bufferViews", "buffers")}
 
 
-def read_accessor(document: dict[str, Any], binary: memoryview, index: int) -> np.ndarray:
-    """Return the values (N, C) of an accessor: numbers as they are stored, or float64 from normalized integers."""
+def _read_accessor(document: Document, binary: memoryview, index: int) -> np.ndarray:
     accessor = document["accessors"][index]
     view = document["bufferViews"][accessor["bufferView"]]
     dtype, width = DTYPES[accessor["componentType"]], WIDTHS[accessor["type"]]
@@ -175,18 +144,3 @@ def find_image_type(content: bytes) -> str:
         if content.startswith(start):
             return name
     raise FileError("An image for a glTF file is neither PNG nor JPEG; encode it as one of them.")
-
-
-def _encode_primitive(buffer: GlbBuffer, primitive: GlbPrimitive) -> dict[str, Any]:
-    attributes = {"POSITION": buffer.add_attribute(primitive.positions.astype(np.float32), has_limits=True)}
-    if primitive.normals is not None:
-        attributes["NORMAL"] = buffer.add_attribute(primitive.normals.astype(np.float32))
-    if primitive.uvs is not None:
-        attributes["TEXCOORD_0"] = buffer.add_attribute(flip_v(primitive.uvs).astype(np.float32))
-    result: dict[str, Any] = {"attributes": attributes, "indices": buffer.add_indices(primitive.triangles, len(primitive.positions))}
-    return result if primitive.material is None else {**result, "material": primitive.material}
-
-
-def flip_v(uvs: np.ndarray) -> np.ndarray:
-    """Return texture coordinates (V, 2) float64 with v in the other direction."""
-    return np.stack([uvs[:, 0], 1.0 - uvs[:, 1]], axis=1).astype(np.float64)
