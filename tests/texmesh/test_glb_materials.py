@@ -1,10 +1,14 @@
 """Materials in .glb files are those that Blender's own exporter writes, and come back from its importer."""
 
+from contextlib import nullcontext
+
 import bpy
 import numpy as np
 import pytest
 
+from farfield.addon.bridge.texmesh import glb_levels
 from farfield.addon.bridge.texmesh.glb_levels import enabled_gltf
+from farfield.addon.core.errors import FileError
 from glb_scenes import Nodes, check_equal, encode, square, write, write_with_blender
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
@@ -240,3 +244,24 @@ def test_several_objects_and_materials_have_files_of_their_own_materials():
     for name in ("First", "Second"):
         materials = [next(item for item in file.materials if item["name"] == name) for file in (found, expected)]
         check_equal(*materials)
+
+
+def test_an_add_on_that_is_disabled_and_an_object_in_edit_mode_stay_so():
+    import addon_utils
+
+    expected = write(Nodes().item)[0].materials
+    item = Nodes().item
+    bpy.ops.mesh.primitive_cube_add()
+    bpy.ops.object.mode_set(mode="EDIT")
+    with enabled_gltf():
+        addon_utils.disable("io_scene_gltf2")
+        check_equal(write(item)[0].materials[0], {**expected[0], "name": "Leaf.001"})
+        assert not addon_utils.check("io_scene_gltf2")[1] and bpy.context.object.mode == "EDIT"
+        addon_utils.enable("io_scene_gltf2")
+
+
+def test_an_error_of_the_exporter_is_one_sentence(monkeypatch, tmp_path):
+    (tmp_path / "levels.glb").mkdir()
+    monkeypatch.setattr(glb_levels, "temporary_folder", lambda: nullcontext(tmp_path))
+    with pytest.raises(FileError, match=r"^Blender's glTF exporter failed: \[Errno \d+\] [^\n]*levels\.glb'\.$"):
+        write(Nodes().item)
