@@ -19,7 +19,6 @@ DIRECTIONS = ((0.7, -1.0, 0.5), (-0.4, 0.9, -0.6))  # Directions of the views, t
 MIN_OVERLAP, MAX_COLOR_DIFFERENCE = 0.95, 0.03
 MAX_FIGURE_DIFFERENCE = 1e-3  # relative
 MIN_ALTITUDE = 1e-4  # Relative to the size; quantization makes thinner triangles vanish.
-SHADING = {"Metallic": 0.0, "Roughness": 1.0, "Specular IOR Level": 0.0, "Normal": None, "Coat Weight": 0.0, "Transmission Weight": 0.0}
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +52,6 @@ def read_surface(path: Path, frame: np.ndarray | None, renders: bool = True) -> 
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     bounds = np.array([corners.min(axis=(0, 1)), corners.max(axis=(0, 1))])
     count = int(np.count_nonzero(2 * areas > MIN_ALTITUDE * np.ptp(bounds, axis=0).max() * longest))
-    _keep_only_colors()
     frame = bounds if frame is None else frame
     images = [_render(frame, np.array(direction)) for direction in DIRECTIONS] if renders else []
     return Surface(count, float(areas.sum()), bounds, images)
@@ -84,18 +82,6 @@ def map_pair(expected: np.ndarray, found: np.ndarray) -> tuple[float, float]:
     visible = np.maximum(expected[..., 3], found[..., 3]) > 0.05
     difference = float(np.abs(np.clip(expected, 0, 2) - np.clip(found, 0, 2))[visible].mean()) if visible.any() else 0.0
     return float(common / union) if union > 0 else 1.0, difference
-
-
-def _keep_only_colors() -> None:
-    """Make all materials diffuse, so that renders show their color, emission and alpha only."""
-    for material in bpy.data.materials:
-        tree = material.node_tree
-        for node in tree.nodes if tree is not None else []:
-            for name, value in SHADING.items() if node.type == "BSDF_PRINCIPLED" else []:
-                for link in list(node.inputs[name].links):
-                    tree.links.remove(link)
-                if value is not None:
-                    node.inputs[name].default_value = value
 
 
 def _relative(value: float, expected: float) -> float:

@@ -1,18 +1,15 @@
 """Textured meshes as .obj and .glb files, for the programs that `bench_texmesh.py` compares with."""
 
-import json
-import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from farfield.addon.core.errors import GeometryError
+from farfield.addon.core.files.glb import load_glb
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 
-COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-COMPONENT_COUNTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 MATERIAL_PREFIX = "material_"
 
 
@@ -68,7 +65,7 @@ def read_glb(path: Path) -> TexturedMesh:
 
     Materials keep their numbers, or those of `write_obj`.
     """
-    document, binary = split_glb(path)
+    document = load_glb(path.read_bytes())
     names: dict[str, int] = {}
     numbers = [_find_material(entry.get("name", str(index)), names) for index, entry in enumerate(document.get("materials", []))]
     points, uvs, triangles, materials = [], [], [], []
@@ -77,10 +74,10 @@ def read_glb(path: Path) -> TexturedMesh:
         for primitive in document["meshes"][node["mesh"]]["primitives"] if "mesh" in node else []:
             if "TEXCOORD_0" not in primitive["attributes"]:
                 continue
-            positions = _read_accessor(document, binary, primitive["attributes"]["POSITION"])
+            positions = primitive["attributes"]["POSITION"].astype(np.float64)
             points.append(positions @ matrix[:3, :3].T + matrix[:3, 3])
-            uvs.append(_read_accessor(document, binary, primitive["attributes"]["TEXCOORD_0"]) * [1.0, -1.0] + [0.0, 1.0])
-            faces = _read_accessor(document, binary, primitive["indices"]).reshape(-1, 3).astype(np.int64)
+            uvs.append(primitive["attributes"]["TEXCOORD_0"] * [1.0, -1.0] + [0.0, 1.0])
+            faces = primitive["indices"].reshape(-1, 3)
             triangles.append(faces + offset)
             materials.append(np.full(len(faces), numbers[primitive["material"]] if "material" in primitive else 0, np.int32))
             offset += len(positions)
@@ -89,13 +86,6 @@ def read_glb(path: Path) -> TexturedMesh:
     faces = np.concatenate(triangles).astype(np.int32)
     mesh = TriangleMesh(np.concatenate(points), faces, np.concatenate(materials))
     return build_textured_mesh(mesh, np.concatenate(uvs)[faces], name=path.stem)
-
-
-def split_glb(path: Path) -> tuple[dict[str, Any], bytes]:
-    """Return the JSON document and the binary buffer of a .glb."""
-    data = path.read_bytes()
-    length = struct.unpack_from("<I", data, 12)[0]
-    return json.loads(data[20 : 20 + length]), data[20 + length + 8 :]
 
 
 def _list_nodes(document: dict[str, Any]) -> list[tuple[dict[str, Any], np.ndarray]]:
@@ -124,14 +114,3 @@ def _read_matrix(node: dict[str, Any]) -> np.ndarray:
     matrix[:3, :3] *= np.array(node.get("scale", [1.0, 1.0, 1.0]))
     matrix[:3, 3] = node.get("translation", [0.0, 0.0, 0.0])
     return matrix
-
-
-def _read_accessor(document: dict[str, Any], binary: bytes, index: int) -> np.ndarray:
-    accessor = document["accessors"][index]
-    view = document["bufferViews"][accessor["bufferView"]]
-    dtype = np.dtype(COMPONENT_TYPES[accessor["componentType"]])
-    width = COMPONENT_COUNTS[accessor["type"]]
-    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-    stride = view.get("byteStride", dtype.itemsize * width)
-    rows = np.ndarray((accessor["count"], width), dtype, binary, start, (stride, dtype.itemsize))
-    return rows.astype(np.float64) / (np.iinfo(dtype).max if accessor.get("normalized") else 1.0)

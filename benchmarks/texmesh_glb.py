@@ -24,8 +24,8 @@ import numpy as np
 
 environment.import_farfield()
 
-from farfield.addon.core.files.glb import GlbMesh, GlbNode, GlbPrimitive, GlbScene, encode_glb
-from farfield.addon.core.files.glb_materials import GlbMaterial, GlbTexture
+from farfield.addon.core.files.glb import Document, save_glb
+from farfield.addon.core.files.glb_levels import LevelNode, arrange_levels
 from farfield.addon.core.files.temporary_folders import temporary_folder
 from farfield.addon.core.imaging.coded_images import encode
 
@@ -36,8 +36,8 @@ validator.validateBytes(content).then(report => console.log(JSON.stringify(repor
 """
 
 
-def make_sphere(rings: int, material: int | None, uv_scale: float = 1.0, has_all: bool = True) -> GlbPrimitive:
-    """Return a UV sphere with normals, texture coordinates 0..`uv_scale` and colors, or with positions only."""
+def make_sphere(rings: int, material: int | None, uv_scale: float = 1.0, has_all: bool = True) -> Document:
+    """Return a UV sphere with normals, texture coordinates 0..`uv_scale`, or with positions only."""
     polar, azimuth = np.meshgrid(np.linspace(0.0, np.pi, rings + 1), np.linspace(0.0, 2.0 * np.pi, 2 * rings + 1), indexing="ij")
     normals = np.stack([np.sin(polar) * np.cos(azimuth), np.cos(polar), np.sin(polar) * np.sin(azimuth)], axis=2).reshape(-1, 3)
     uvs = uv_scale * np.stack([azimuth / (2.0 * np.pi), 1.0 - polar / np.pi], axis=2).reshape(-1, 2)
@@ -47,30 +47,39 @@ def make_sphere(rings: int, material: int | None, uv_scale: float = 1.0, has_all
     points = normals * (1.0 + 0.1 * np.sin(9.0 * azimuth.reshape(-1, 1)) * np.sin(polar.reshape(-1, 1)))
     is_degenerate = np.linalg.norm(np.cross(*(points[triangles[:, k]] - points[triangles[:, 0]] for k in (1, 2))), axis=1) < 1e-12
     triangles = triangles[~is_degenerate]
-    if not has_all:
-        return GlbPrimitive(points, triangles, material=material)
-    return GlbPrimitive(points, triangles, normals, uvs, 0.5 + 0.5 * normals, material)
+    attributes = {"POSITION": points, **({"NORMAL": normals, "TEXCOORD_0": uvs} if has_all else {})}
+    return {"attributes": attributes, "indices": triangles.ravel(), **({} if material is None else {"material": material})}
 
 
-def make_scenes() -> dict[str, GlbScene]:
-    """Return the scenes by name."""
+def make_document(image: bytes, *meshes: list[Document]) -> Document:
+    """Return a document with meshes of primitives."""
+    painted = {"name": "painted", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}, "metallicFactor": 0.0}}
+    plain = {"name": "plain", "pbrMetallicRoughness": {"baseColorFactor": [0.8, 0.2, 0.1, 1.0]}, "doubleSided": True}
+    return {
+        "nodes": [{"name": str(index), "mesh": index} for index in range(len(meshes))],
+        "meshes": [{"primitives": parts} for parts in meshes],
+        "materials": [painted, plain],
+        "textures": [{"source": 0}],
+        "images": [{"content": image}],
+    }
+
+
+def make_scenes() -> dict[str, tuple[Document, list[LevelNode]]]:
+    """Return documents by name, with their nodes."""
     image = encode(np.random.default_rng(1).integers(0, 255, (64, 64, 3)).astype(np.uint8), "png")
     photo = encode(np.full((64, 64, 3), 90, np.uint8), "jpeg")
-    painted, plain = GlbMaterial("painted", texture=GlbTexture(0)), GlbMaterial("plain", (0.8, 0.2, 0.1, 1.0), is_double_sided=True)
-    one = GlbNode("object", 0)
-    fine = make_sphere(48, 0)
-    bounds = np.stack([fine.positions.min(axis=0), fine.positions.max(axis=0)])
-    level_meshes = tuple(GlbMesh(f"level {rings}", (make_sphere(rings, 0),), bounds) for rings in (48, 24, 12))
-    level_nodes = (GlbNode("fine", 0, levels=(1, 2), coverages=(0.2, 0.02, 0.0001)), GlbNode("medium", 1), GlbNode("coarse", 2))
-    moved = np.eye(4)
+    bounds, moved = np.array([[-1.1] * 3, [1.1] * 3]), np.eye(4)
     moved[:3, 3] = [1.0, 2.0, 3.0]
-    parts = (make_sphere(20, 0), make_sphere(12, 1), make_sphere(9, None, has_all=False))
+    parts = [make_sphere(20, 0), make_sphere(12, 1), make_sphere(9, None, has_all=False)]
+    nodes = [LevelNode(str(index), name, bounds, np.eye(4)) for index, name in enumerate(("fine", "medium", "coarse"))]
+    nodes[0] = LevelNode("0", "fine", bounds, np.eye(4), (1, 2), (0.2, 0.02, 0.0001))
+    one = [LevelNode("0", "object", bounds, moved)]
     return {
-        "sphere": GlbScene((one,), (GlbMesh("sphere", (fine,)),), (painted,), (image,)),
-        "repeated texture": GlbScene((one,), (GlbMesh("sphere", (make_sphere(48, 0, 3.0),)),), (painted,), (photo,)),
-        "several materials": GlbScene((GlbNode("moved", 0, moved),), (GlbMesh("parts", parts),), (painted, plain), (image,)),
-        "levels": GlbScene(level_nodes, level_meshes, (painted,), (image,)),
-        "long indices": GlbScene((one,), (GlbMesh("sphere", (make_sphere(200, 0),)),), (painted,), (image,)),
+        "sphere": (make_document(image, [make_sphere(48, 0)]), one),
+        "repeated texture": (make_document(photo, [make_sphere(48, 0, 3.0)]), one),
+        "several materials": (make_document(image, parts), one),
+        "levels": (make_document(image, *([make_sphere(rings, 0)] for rings in (48, 24, 12))), nodes),
+        "long indices": (make_document(image, [make_sphere(200, 0)]), one),
     }
 
 
@@ -93,10 +102,10 @@ def validate_scenes(validator: Path) -> dict[str, Any]:
     """Return the sizes and issues of all scenes, plain and quantized."""
     results = {}
     with temporary_folder() as folder:
-        for name, scene in make_scenes().items():
-            for is_quantized in (False, True):
+        for is_quantized in (False, True):
+            for name, (document, nodes) in make_scenes().items():
                 path = folder / f"{len(results)}.glb"
-                path.write_bytes(encode_glb(scene, is_quantized))
+                path.write_bytes(save_glb(arrange_levels(document, nodes, is_quantized, {})))
                 label = f"{name}, {'quantized' if is_quantized else 'plain'}"
                 results[label] = {"bytes": path.stat().st_size, **validate(path, validator)}
     return results

@@ -14,6 +14,7 @@ import texmesh_files
 import texmesh_models
 from PIL import Image
 
+from farfield.addon.core.files.glb import load_glb
 from farfield.addon.core.geometry.mesh import TriangleMesh, longest_side
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
@@ -229,16 +230,12 @@ def read_image(source: Path | io.BytesIO) -> np.ndarray:
 
 def read_glb_images(path: Path, count: int) -> list[np.ndarray | None]:
     """Return the base color textures of the materials of a .glb."""
-    document, binary = texmesh_files.split_glb(path)
+    document = load_glb(path.read_bytes())
     images: list[np.ndarray | None] = []
     for material in document["materials"][:count]:
         texture = material.get("pbrMetallicRoughness", {}).get("baseColorTexture")
-        if texture is None:
-            images.append(None)
-            continue
-        view = document["bufferViews"][document["images"][document["textures"][texture["index"]]["source"]]["bufferView"]]
-        start = view.get("byteOffset", 0)
-        images.append(read_image(io.BytesIO(binary[start : start + view["byteLength"]])))
+        source = None if texture is None else document["images"][document["textures"][texture["index"]]["source"]]
+        images.append(None if source is None else read_image(io.BytesIO(source["content"])))
     return images
 
 

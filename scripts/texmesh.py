@@ -34,6 +34,7 @@ from farfield.addon.operators.texmesh.job import AnalysisJob, LevelsJob, describ
 from lib import command_line, run_files, scene_files
 from lib.atomic_output import atomic_file
 from lib.contact_sheet import write_png
+from lib.script_stdout import mute_stderr
 from lib.texmesh_inputs import open_objects, read_level_settings
 
 EXTENSIONS = (".blend", ".glb")
@@ -110,7 +111,8 @@ def write_output(job: LevelsJob, out: Path, given: Namespace) -> list[str]:
     if out.suffix.lower() == ".blend":
         scene_files.save_scene(out)
         return []
-    _, lacking = write_levels([read_level_set(bpy.data.collections[name]) for name in job.chains], out, given.quantized, given.one_file)
+    with mute_stderr():  # libraries print about damaged images, which `lacking` names
+        _, lacking = write_levels([read_level_set(bpy.data.collections[name]) for name in job.chains], out, given.quantized, given.one_file)
     return lacking
 
 

@@ -13,7 +13,7 @@ from farfield.addon.bridge.scene_paths import scene_inputs
 from farfield.addon.bridge.texmesh.glb_levels import level_outputs
 from farfield.addon.core.btf.settings import ExportSettings
 from farfield.addon.core.errors import FileError
-from farfield.addon.core.files.glb import GlbMesh, GlbPrimitive, GlbScene, encode_glb
+from farfield.addon.core.files.glb import save_glb
 from farfield.addon.operators.btf.export_job import prepare_export
 from textured_scenes import textured_ball
 
@@ -60,8 +60,7 @@ def test_levels_replace_only_levels(folder):
     assert bpy.ops.farfield.texmesh_levels(**SMALL) == {"FINISHED"}
     call = lambda: bpy.ops.farfield.texmesh_export(filepath=str(folder / "ball.glb"))  # noqa: E731
     assert 'the level "ball-L1.glb" would replace' in refusal(call, folder)
-    triangle = GlbMesh("A", (GlbPrimitive(np.eye(3), np.array([[0, 1, 2]])),))
-    (folder / "ball-L1.glb").write_bytes(encode_glb(GlbScene((), (triangle,), (), ()), False))
+    (folder / "ball-L1.glb").write_bytes(save_glb({"meshes": []}))
     assert bpy.ops.farfield.texmesh_export(filepath=str(folder / "ball.glb")) == {"FINISHED"}
     assert [output.path.name for output in level_outputs(folder / "ball.glb")] == ["ball-L0.glb", "ball-L1.glb"]
 

@@ -24,8 +24,11 @@ def redraw_areas(*types: str) -> None:
 
 
 def error_sentence(error: RuntimeError) -> str:
-    """Return the message of an error that a function of Blender raised, on one line, without its final full stop."""
-    return " ".join(str(error).removeprefix("Error: ").split()).rstrip(".")
+    """Return the message of an error that a function of Blender raised, on one line, without its final full stop: of an error of an add-on
+    its last line, without the traceback."""
+    lines = [line for line in str(error).splitlines() if not line.startswith("Location:")]
+    message = lines[-1].partition(": ")[2] if "Traceback" in str(error) else " ".join(lines).removeprefix("Error: ")
+    return " ".join(message.split()).rstrip(".")
 
 
 def import_blender_module(name: str, purpose: str, advice: str) -> ModuleType:

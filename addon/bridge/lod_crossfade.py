@@ -72,7 +72,7 @@ def remove_crossfade(item: bpy.types.Object, materials: Sequence[bpy.types.Mater
             del item[name]
     for material in materials:
         if material is not None:
-            _remove_group(material)
+            remove_from_material(material)
 
 
 def _insert_group(material: bpy.types.Material) -> None:
@@ -93,7 +93,8 @@ def _insert_group(material: bpy.types.Material) -> None:
         tree.links.new(node.outputs[0], output.inputs["Surface"])
 
 
-def _remove_group(material: bpy.types.Material) -> None:
+def remove_from_material(material: bpy.types.Material) -> None:
+    """Remove the cross-fade node group from a material, if it has one."""
     tree = material.node_tree
     for node in [node for node in tree.nodes if is_crossfade(node)] if tree is not None else []:
         shader = node.inputs[0].links[0].from_socket if node.inputs[0].links else None

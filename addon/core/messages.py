@@ -4,7 +4,7 @@ Messages quote names of files and data-blocks, which may contain anything; `sing
 """
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 NOT_PRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # Control characters and line separators.
 QUOTED_OR_NUMBER = re.compile(r'"([^"]*)"|\d[\d,.]*(?<=\d)')
@@ -52,6 +52,14 @@ def _merge_alike(sentences: Sequence[str]) -> Sequence[str]:
     if len(sentences) < 3 or "" in names or len(names) < 3:
         return sentences
     return [f'{sentences[0].removesuffix(".")} (likewise "{names[1]}" and {format_count(len(names) - 2, "other")}).']
+
+
+def describe_lacking(lacking: Mapping[str, Sequence[str]], place: str) -> list[str]:
+    """Return sentences about what `place`, such as "The file", lacks of things, by their names."""
+    by_content: dict[tuple[str, ...], list[str]] = {}
+    for name, labels in lacking.items():
+        by_content.setdefault(tuple(labels), []).append(name)
+    return [f"{place} lacks {', '.join(labels)} of {quote_names(names)}." for labels, names in by_content.items() if labels]
 
 
 def single_line(message: object) -> str:

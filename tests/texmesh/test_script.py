@@ -80,7 +80,7 @@ def test_a_file_per_level(ball, quantized):
         assert (b"KHR_mesh_quantization" in path.read_bytes()) == quantized
         texmesh.scene_files.open_scene(path)
         (item,) = [item for item in bpy.context.scene.objects if item.type == "MESH"]
-        assert count_triangles(item.data) == count
+        assert count_triangles(item.data) == count and item.name == f"Bällchen_LOD{number}"
         assert [image.size[0] for image in bpy.data.images if image.size[0]] == [32]
         points = np.array([vertex.co for vertex in item.data.vertices])
         np.testing.assert_allclose(np.linalg.norm(points, axis=1) * item.matrix_world.to_scale().x, 1.0, atol=1e-4)
@@ -94,7 +94,8 @@ def test_one_file_with_all_levels(ball):
     assert root["extensions"]["MSFT_lod"]["ids"] == [1, 2]
     coverages = root["extras"]["MSFT_screencoverage"]
     assert len(coverages) == 3 and coverages == sorted(coverages, reverse=True) and coverages[-1] == 0.0
-    assert len(document["images"]) == len(document["materials"]) == 1
+    assert [node["name"] for node in document["nodes"]] == [f"Bällchen_LOD{number}" for number in range(3)]
+    assert len(document["images"]) == 1 and [material["name"] for material in document["materials"]] == ["Paint"]
 
 
 @pytest.mark.parametrize("one_file", [False, True])
@@ -127,7 +128,7 @@ def test_several_materials_become_primitives(folder):
     document = parse_glb(path.with_name("out-L1.glb"))
     assert len(document["meshes"][0]["primitives"]) == 3 and len(document["images"]) == 2
     assert all({"NORMAL", "TEXCOORD_0"} <= set(primitive["attributes"]) for primitive in document["meshes"][0]["primitives"])
-    factors = [material["pbrMetallicRoughness"]["baseColorFactor"] for material in document["materials"]]
+    factors = [material["pbrMetallicRoughness"].get("baseColorFactor", [1.0] * 4) for material in document["materials"]]
     np.testing.assert_allclose(factors, [[1.0] * 4, [1.0] * 4, [0.1, 0.4, 0.6, 1.0]], atol=1e-6)
 
 

@@ -7,6 +7,7 @@ import bpy
 import numpy as np
 
 from ...core.geometry.transforms import is_mirroring
+from ...core.messages import describe_lacking
 from ...core.packages.material_sources import MaterialSource
 from ...core.texmesh.textured_mesh import TexturedMesh
 from ..geometry.joined_meshes import find_frame
@@ -14,9 +15,8 @@ from ..geometry.meshes import find_material
 from ..objects import world_matrix
 from ..shading.color_products import CHANNELS, read_product
 from ..shading.socket_sources import ScopedSocket, find_source
-from ..shading.surface_reader import MaterialSurface, read_surface
+from ..shading.surface_reader import MaterialSurface, choose_textures, read_surface
 from ..shading.texture_uses import TextureUse
-from ..texmesh.glb_materials import choose_textures, describe_unread
 from ..texmesh.sources import TexturedSource, read_textured_source
 from .images import MEAN, PackageImages
 
@@ -55,7 +55,7 @@ def read_package_source(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) 
     surfaces = [None if material is None else read_surface(material) for material in found]
     materials = tuple(read_material(material, images) for material in found)
     unread = {item.name: _list_unread(surface, source) for item, surface in zip(found, surfaces, strict=True) if item is not None}
-    remarks = [*source.remarks, *describe_unread(unread, "The package")]
+    remarks = [*source.remarks, *describe_lacking(unread, "The package")]
     mesh = _to_world(_place_uvs(source.mesh, surfaces), item)
     return PackageSource(source.name, mesh, materials, source.textures or (None,), tuple(remarks))
 
@@ -64,7 +64,7 @@ def _place_uvs(mesh: TexturedMesh, surfaces: Sequence[MaterialSurface | None]) -
     """Return `mesh` with texture coordinates of the images, which materials may have moved, turned and scaled."""
     uvs = mesh.uvs.copy()
     for number, surface in enumerate(surfaces):
-        use = None if surface is None else choose_textures(surface)[0]
+        use = None if surface is None else choose_textures(surface.color, surface.alpha)[0]
         if use is not None and use.is_moved:
             wedges = np.unique(mesh.wedge_triangles[mesh.materials == number])
             uvs[wedges] = mesh.uvs[wedges] @ use.matrix[:, :2].T + use.matrix[:, 2]
@@ -73,9 +73,9 @@ def _place_uvs(mesh: TexturedMesh, surfaces: Sequence[MaterialSurface | None]) -
 
 def _list_unread(surface: MaterialSurface, source: TexturedSource) -> tuple[str, ...]:
     """Return labels of what the package lacks of a material."""
-    color, _, unread = choose_textures(surface)
+    color, _, unread = choose_textures(surface.color, surface.alpha)
     leaves = source.mesh.uvs.min() < 0.0 or source.mesh.uvs.max() > 1.0 or (color is not None and color.is_moved)
-    labels = [label for label in unread if label not in STORED_INPUTS]
+    labels = [label for label in (*unread, *surface.unread) if label not in STORED_INPUTS]
     labels += [] if surface.is_opaque else ["transparency"]
     labels += ["vertex colors"] if surface.color.attributes else []
     labels += ["the wrapping of its image"] if color is not None and leaves and color.wrap != ("repeat", "repeat") else []
@@ -101,7 +101,7 @@ def read_material(material: bpy.types.Material | None, images: PackageImages) ->
     if material is None:
         return MaterialSource("", (0.8, 0.8, 0.8, 1.0), False, {})
     surface = read_surface(material)
-    color, _, _ = choose_textures(surface)
+    color, _, _ = choose_textures(surface.color, surface.alpha)
     found = {} if color is None else {"base_color": images.read_colors(color.image)}
     if surface.shader is not None:
         found |= _read_data_images(surface.shader, images)

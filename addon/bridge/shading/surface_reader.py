@@ -3,13 +3,14 @@
 It reads what file formats can store, and names the rest.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import bpy
 
 from ...compat import uses_nodes
 from .color_products import ColorProduct, read_product, read_source_product
 from .socket_sources import ScopedSocket, find_source
+from .texture_uses import TextureUse
 
 COLOR_INPUTS = ("Base Color", "Color", "Emission Color")  # the first one that is linked counts
 TRANSPARENT = {"BSDF_TRANSPARENT", "HOLDOUT"}
@@ -28,7 +29,11 @@ class MaterialSurface:
         color: its base color.
         alpha: its opacity.
         alpha_cutoff: the opacity from which it is opaque, and transparent below; None if it is blended.
-        unread: labels of what else the look depends on.
+        unread: labels of what else the look depends on: `mixed` and inputs of the shader.
+        mixed: labels of nodes that mix the shader with others.
+        groups: the node groups around the shader, the outermost first.
+        emission: a node that emits light in addition to the shader, None if there is none.
+        is_shadeless: whether it shows its color without light, and to cameras only.
     """
 
     shader: bpy.types.Node | None
@@ -36,6 +41,10 @@ class MaterialSurface:
     alpha: ColorProduct
     alpha_cutoff: float | None
     unread: tuple[str, ...]
+    mixed: tuple[str, ...] = ()
+    groups: tuple[bpy.types.Node, ...] = ()
+    emission: ScopedSocket | None = None
+    is_shadeless: bool = False
 
     @property
     def is_opaque(self) -> bool:
@@ -50,16 +59,29 @@ def read_surface(material: bpy.types.Material) -> MaterialSurface:
     output = find_output(material.node_tree)
     if output is None:
         return MaterialSurface(None, WHITE, WHITE, None, ())
-    shader, alpha, cutoff, unread = _find_shader(find_source(ScopedSocket(output.inputs["Surface"])))
-    if shader is None:
-        return MaterialSurface(None, WHITE, WHITE, None, unread)
-    color_input = find_color_input(shader.node)
-    color = WHITE if color_input is None else read_product(color_input, shader.groups)
-    own = next((item for item in shader.node.inputs if item.name == "Alpha"), None)
+    found = _find_shader(find_source(ScopedSocket(output.inputs["Surface"])))
+    if found.shader is None:
+        return replace(found, alpha=WHITE, alpha_cutoff=None, unread=found.mixed)
+    color_input = find_color_input(found.shader)
+    color = WHITE if color_input is None else read_product(color_input, found.groups)
+    alpha, cutoff = found.alpha, found.alpha_cutoff
+    own = next((item for item in found.shader.inputs if item.name == "Alpha"), None)
     if own is not None:
-        own_alpha, own_cutoff = _read_alpha(find_source(ScopedSocket(own, shader.groups)))
+        own_alpha, own_cutoff = _read_alpha(find_source(ScopedSocket(own, found.groups)))
         alpha, cutoff = alpha.times(own_alpha), own_cutoff if cutoff is None else cutoff
-    return MaterialSurface(shader.node, color, alpha, cutoff, (*unread, *_list_inputs(shader.node, color_input)))
+    unread = (*found.mixed, *_list_inputs(found.shader, color_input))
+    is_shadeless = found.is_shadeless and found.shader.type == "EMISSION"
+    return replace(found, color=color, alpha=alpha, alpha_cutoff=cutoff, unread=unread, is_shadeless=is_shadeless)
+
+
+def choose_textures(color: ColorProduct, alpha: ColorProduct) -> tuple[TextureUse | None, TextureUse | None, tuple[str, ...]]:
+    """Return the textures of a color and an opacity that one image can hold, and labels of what else both depend on."""
+    first, *further = color.textures or (None,)
+    opacity, *further_alphas = alpha.textures or (None,)
+    if first is not None and opacity is not None and not opacity.is_placed_like(first):
+        further_alphas, opacity = [opacity, *further_alphas], None
+    unread = [*color.unread, *alpha.unread, *(f'the image "{use.image.name}"' for use in (*further, *further_alphas))]
+    return first, opacity, tuple(dict.fromkeys(unread))
 
 
 def find_output(tree: bpy.types.NodeTree) -> bpy.types.Node | None:
@@ -81,34 +103,38 @@ def find_color_input(node: bpy.types.Node) -> bpy.types.NodeSocket | None:
     return next((item for item in found if item.links), found[0] if found else None)
 
 
-def _find_shader(source: ScopedSocket) -> tuple[ScopedSocket | None, ColorProduct, float | None, tuple[str, ...]]:
-    """Return the first shader with a color before `source`, its opacity against transparent shaders that it is mixed with, the cutoff of
-    the opacity, and labels of what is left out."""
-    alpha, cutoff, unread = WHITE, None, ()
+def _find_shader(source: ScopedSocket) -> MaterialSurface:
+    """Return the first shader with a color before `source`, its opacity against transparent shaders, and what it is mixed with."""
+    found = MaterialSurface(None, WHITE, WHITE, None, ())
     for _ in range(MAX_SHADERS):
         if source.is_constant:
-            return None, alpha, cutoff, unread
+            return found
         node = source.node
         if node.type == "MIX_SHADER":
-            first, second = source.input(1), source.input(2)
+            factor, first, second = (source.input(index) for index in range(3))
             hidden = [not item.is_constant and item.node.type in TRANSPARENT for item in (first, second)]
-            if hidden == [True, False] or hidden == [False, True]:
-                opacity, edge = _read_opacity(source.input(0), hidden[1])
-                alpha, cutoff = alpha.times(opacity), edge if cutoff is None else cutoff
+            fraction = read_source_product(factor)
+            if hidden in ([True, False], [False, True]):
+                is_for_cameras = not factor.is_constant and factor.node.type == "LIGHT_PATH"
+                opacity, edge = _read_opacity(factor, hidden[1])
+                cutoff = edge if found.alpha_cutoff is None else found.alpha_cutoff
+                alpha, is_shadeless = found.alpha.times(opacity), found.is_shadeless or is_for_cameras
+                found = replace(found, alpha=alpha, alpha_cutoff=cutoff, is_shadeless=is_shadeless)
                 source = second if hidden[0] else first
-                continue
-            fraction = read_source_product(source.input(0))
-            if fraction.is_constant and fraction.factor[0] in (0.0, 1.0):
+            elif fraction.is_constant and fraction.factor[0] in (0.0, 1.0):
                 source = second if fraction.factor[0] else first
-                continue
-            unread, source = (*unread, node.bl_label), second if first.is_constant else first
+            else:
+                found, source = replace(found, mixed=(*found.mixed, node.bl_label)), second if first.is_constant else first
         elif node.type == "ADD_SHADER":
-            first, second = source.input(0), source.input(1)
-            is_first = not first.is_constant and first.node.type not in TRANSPARENT
-            unread, source = (*unread, node.bl_label), first if is_first else second
+            shown = [item for item in (source.input(0), source.input(1)) if not item.is_constant and item.node.type not in TRANSPARENT]
+            lights = [item for item in shown if item.node.type == "EMISSION"]
+            if len(shown) == 2 and len(lights) == 1 and found.emission is None:
+                found, shown = replace(found, emission=lights[0]), [item for item in shown if item != lights[0]]
+            found, source = replace(found, mixed=(*found.mixed, node.bl_label)), shown[0] if shown else source.input(1)
         else:
-            return (source if find_color_input(node) is not None else None), alpha, cutoff, unread
-    return None, alpha, cutoff, unread
+            is_colored = find_color_input(node) is not None
+            return replace(found, shader=node, groups=source.groups) if is_colored else found
+    return found
 
 
 def _read_opacity(source: ScopedSocket, is_inverted: bool) -> tuple[ColorProduct, float | None]:

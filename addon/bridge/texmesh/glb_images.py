@@ -1,111 +1,71 @@
-"""Images for glTF files: the files that they come from, or PNG files with the colors and the opacity that a material uses."""
+"""Images as glTF wants them: PNG or JPEG with sRGB-encoded colors, or data."""
 
 from pathlib import Path
 
 import bpy
 import numpy as np
 
-from ...core.files.file_access import is_file, read_file
-from ...core.files.glb import IMAGE_TYPES
 from ...core.imaging.coded_images import encode
-from ...core.imaging.colors import LUMINANCE, encode_signed_srgb
-from ...core.imaging.images import sample_bilinear, to_bytes, unpremultiply
+from ...core.imaging.colors import encode_signed_srgb
+from ...core.imaging.images import to_bytes, unpremultiply
 from ..imaging.color_spaces import SRGB, read_linear_pixels
-from ..imaging.images import INDEPENDENT_ALPHA, check_pixels, find_path, read_pixels
-from ..shading.color_products import CHANNELS
-from ..shading.texture_uses import TextureUse
+from ..imaging.images import INDEPENDENT_ALPHA, check_pixels, read_pixels
+
+STORED = {"PNG", "JPEG"}  # file formats that glTF has
 
 
-def read_used_image(color: TextureUse | None, alpha: TextureUse | None, is_opaque: bool) -> bytes:
-    """Return an image with the colors of `color` and the opacity of `alpha` as PNG or JPEG; white or opaque where one is None.
+class GlbImages:
+    """Images of materials, and the converted ones, each once."""
 
-    is_opaque: whether the material is, so that alpha in the file does no harm.
+    def __init__(self) -> None:
+        self._converted: dict[tuple[str, bool, bool], bpy.types.Image] = {}
 
-    Raises:
-        FileError: see `read_coded_image`.
-    """
-    is_stored = color is not None and color.channel == "Color" and (is_opaque if alpha is None else _is_own_alpha(color, alpha))
-    if is_stored:
-        return read_coded_image(color.image)
-    images = [use.image for use in (color, alpha) if use is not None]
-    for image in images:
+    def prepare(self, image: bpy.types.Image, is_color: bool, is_opaque: bool = False) -> bpy.types.Image:
+        """Return an image whose file Blender's exporter stores as glTF prescribes: the same one, or a converted one until `remove`.
+
+        is_color: whether it has colors instead of data. is_opaque: whether its alpha must not be stored.
+
+        Raises:
+            FileError: it has no pixels, for instance because its file is missing, or cannot be read.
+        """
         check_pixels(image)
-    width, height = (max(image.size[axis] for image in images) for axis in (0, 1))
-    result = np.full((height, width, 4), 255, np.uint8)
-    if color is not None:
-        result[..., :3] = to_bytes(_read_colors(color, (width, height)))
-    if alpha is not None:
-        result[..., 3] = to_bytes(_read_opacity(alpha, (width, height)))
-    return encode(result[..., :3] if alpha is None else result, "png")
+        is_opaque = is_opaque and bool((read_pixels(image)[..., 3] < 1.0).any())
+        if not is_opaque and _is_stored(image, is_color):
+            return image
+        key = image.name_full, is_color, is_opaque
+        if key not in self._converted:
+            self._converted[key] = _convert(image, is_color, is_opaque)
+        return self._converted[key]
+
+    def remove(self) -> None:
+        """Remove the converted images."""
+        bpy.data.batch_remove(list(self._converted.values()))
+        self._converted.clear()
 
 
-def read_coded_image(image: bpy.types.Image) -> bytes:
-    """Return an image as PNG or JPEG: as it is packed or on the disk if it is one with sRGB colors, otherwise converted to PNG.
-
-    Raises:
-        FileError: it has no pixels, for instance because its file is missing, or cannot be read.
-    """
-    check_pixels(image)
-    if image.source == "FILE" and not image.is_dirty and image.colorspace_settings.name == SRGB:
-        content = _read_content(image)
-        if any(content.startswith(start) for start in IMAGE_TYPES):
-            return content
-    pixels = _read_encoded(image)
-    has_alpha = bool((pixels[..., 3] < 1.0).any())
-    return encode(to_bytes(pixels if has_alpha else pixels[..., :3]), "png")
+def _is_stored(image: bpy.types.Image, is_color: bool) -> bool:
+    """Return whether Blender's exporter stores the values of an image that renders see, encoded as glTF prescribes."""
+    if image.source not in ("FILE", "GENERATED") or (is_color and image.colorspace_settings.name != SRGB):
+        return False
+    return image.file_format in STORED if image.source == "FILE" else not image.is_float
 
 
-def _is_own_alpha(color: TextureUse, alpha: TextureUse) -> bool:
-    """Return whether the file of an image has its colors, not multiplied with its opacity, and the opacity of `alpha`."""
-    image = color.image
-    return image == alpha.image and alpha.channel == "Alpha" and image.alpha_mode != "NONE" and not image.is_float
+def _convert(image: bpy.types.Image, is_color: bool, is_opaque: bool) -> bpy.types.Image:
+    """Return a packed PNG file of the first frame or tile of an image."""
+    result = bpy.data.images.new(Path(image.name).stem, 1, 1)
+    pixels = _read_colors(image) if is_color else read_pixels(image)
+    content = encode(to_bytes(pixels if (pixels[..., 3] < 1.0).any() and not is_opaque else pixels[..., :3]), "png")
+    result.pack(data=content, data_len=len(content))
+    result.source = "FILE"
+    result.colorspace_settings.name = SRGB if is_color else "Non-Color"
+    return result
 
 
-def _read_content(image: bpy.types.Image) -> bytes:
-    """Return the file of an image, b"" if there is none although it has pixels."""
-    if image.packed_files:
-        return image.packed_files[0].packed_file.data
-    path = Path(find_path(image))
-    return read_file(path) if is_file(path) else b""
-
-
-def _read_encoded(image: bpy.types.Image) -> np.ndarray:
-    """Return the pixels (H, W, 4) of an image with sRGB-encoded colors."""
+def _read_colors(image: bpy.types.Image) -> np.ndarray:
+    """Return the pixels (H, W, 4) of an image with sRGB-encoded colors that are not multiplied with alpha."""
     if not image.is_float and image.colorspace_settings.name == SRGB:
         return read_pixels(image)
     pixels = read_linear_pixels(image)
-    return np.concatenate([encode_signed_srgb(pixels[..., :3]), pixels[..., 3:]], axis=2)
-
-
-def _read_colors(use: TextureUse, size: tuple[int, int]) -> np.ndarray:
-    """Return sRGB-encoded colors (H, W, 3) of an image that is scaled to a size, not multiplied with its opacity."""
-    if use.channel == "Color" and not use.image.is_float:
-        return _resize(_read_encoded(use.image)[..., :3], size)
-    pixels = read_linear_pixels(use.image)
-    if use.image.is_float and use.image.alpha_mode not in INDEPENDENT_ALPHA:
+    if image.is_float and image.alpha_mode not in INDEPENDENT_ALPHA:
         pixels = unpremultiply(pixels)
-    colors = pixels[..., :3] if use.channel == "Color" else np.repeat(_pick(pixels, use.channel)[..., None], 3, axis=2)
-    return encode_signed_srgb(_resize(colors, size))
-
-
-def _read_opacity(use: TextureUse, size: tuple[int, int]) -> np.ndarray:
-    """Return the values (H, W) of a channel of an image that is scaled to a size."""
-    if use.channel == "Alpha" and use.image.alpha_mode == "NONE":
-        return np.ones(size[::-1], np.float32)
-    return _resize(_pick(read_linear_pixels(use.image), use.channel)[..., None], size)[..., 0]
-
-
-def _resize(values: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Return an image (H, W, C) enlarged to a size, by bilinear samples."""
-    if values.shape[1::-1] == size:
-        return values
-    columns, rows = ((np.arange(count) + 0.5) * old / count for count, old in zip(size, values.shape[1::-1], strict=True))
-    positions = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
-    return sample_bilinear(values, positions).reshape(size[1], size[0], values.shape[2])
-
-
-def _pick(pixels: np.ndarray, channel: str) -> np.ndarray:
-    """Return a channel (H, W) of linear pixels (H, W, 4), or their luminance."""
-    if channel == "Color":
-        return pixels[..., :3] @ LUMINANCE
-    return pixels[..., 3 if channel == "Alpha" else CHANNELS.index(channel)]
+    return np.concatenate([encode_signed_srgb(pixels[..., :3]), pixels[..., 3:]], axis=2)

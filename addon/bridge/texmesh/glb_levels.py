@@ -1,25 +1,40 @@
-"""Levels of a scene as .glb files: one per level, or one with all levels of each object (MSFT_lod and MSFT_screencoverage)."""
+"""Levels of a scene as .glb files: one per level, or one with all levels of each object (MSFT_lod and MSFT_screencoverage).
 
+Blender's exporter writes meshes and materials; the nodes and the encoding of numbers are Farfield's.
+"""
+
+import io
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 
+import addon_utils
 import bpy
 import numpy as np
 
-from ...core.errors import GeometryError
+from ...core.errors import FileError
 from ...core.files.atomic_write import atomic_folder
 from ...core.files.file_access import convert_os_errors
-from ...core.files.glb import Y_UP, GlbMesh, GlbNode, GlbPrimitive, GlbScene, encode_glb, is_own_glb
+from ...core.files.glb import Y_UP, Document, is_own_glb, load_glb, save_glb
+from ...core.files.glb_levels import LevelNode, arrange_levels
 from ...core.files.outputs import Output
+from ...core.files.temporary_folders import temporary_folder
+from ...core.messages import describe_lacking
 from ...core.texmesh.perception.switch_distances import level_coverages
-from ..geometry.evaluated_mesh import read_evaluated_mesh
-from ..geometry.meshes import find_material
+from ..blender import error_sentence
 from ..objects import world_matrix
-from .glb_materials import GlbMaterials, describe_unread
+from .glb_objects import GlbObjects
 from .level_sets import LevelSet
 
-NORMAL_STEPS = 1023.0  # normals of a vertex that are equal to 1/NORMAL_STEPS are one: Blender rounds them differently per corner
+GLTF = "io_scene_gltf2"  # Blender's add-on
+OPTIONS = {
+    "export_all_vertex_colors": False,
+    "export_active_vertex_color_when_no_material": False,
+    "export_animations": False,
+    "export_current_frame": True,
+    "export_hierarchy_full_collections": True,  # The collection need not be in a scene.
+}
 
 
 def write_levels(
@@ -31,17 +46,19 @@ def write_levels(
     File N has level N of every object, or its coarsest one. All files appear, or none.
 
     Raises:
-        FileError: a file cannot be written, or an image cannot be read. GeometryError: an object has no triangles.
+        FileError: a file cannot be written, or an image cannot be read. GeometryError: an object has no triangles or is in Edit Mode.
     """
     count = 1 if is_one_file else max(len(levels.levels) for levels in sets)
     paths = [path if is_one_file else level_path(path, number) for number in range(count)]
-    unread: dict[str, tuple[str, ...]] = {}
-    with atomic_folder(path.parent) as folder:
+    with GlbObjects() as objects, atomic_folder(path.parent) as folder:
         for number, target in enumerate(paths):
-            scene, lacking = build_scene(sets, None if is_one_file else number)
-            (folder / target.name).write_bytes(encode_glb(scene, is_quantized))
-            unread |= lacking
-    return paths, describe_unread(unread, "The .glb" if is_one_file else "Each .glb")
+            nodes = list_nodes(sets, objects, None if is_one_file else number)
+            document = export_collection(objects.collection)
+            objects.note_document(document)
+            arranged = arrange_levels(document, nodes, is_quantized, objects.material_names, objects.unlit)
+            (folder / target.name).write_bytes(save_glb(arranged))
+        lacking = objects.lacking
+    return paths, describe_lacking(lacking, "The .glb" if is_one_file else "Each .glb")
 
 
 def level_outputs(path: Path, others: Sequence[Path] = ()) -> list[Output]:
@@ -64,67 +81,59 @@ def level_path(path: Path, number: int) -> Path:
     return path.with_name(f"{path.stem}-L{number}{path.suffix}")
 
 
-def build_scene(sets: Sequence[LevelSet], number: int | None) -> tuple[GlbScene, dict[str, tuple[str, ...]]]:
-    """Return the scene with the level `number` of each object, or its coarsest one, or with all if it is None: the finest one is replaced
-    by the others as it covers less of the image. Also return what it lacks by material."""
-    materials, nodes, meshes = GlbMaterials(), [], []
+def list_nodes(sets: Sequence[LevelSet], objects: GlbObjects, number: int | None) -> list[LevelNode]:
+    """Let `objects` be those of the level `number` of each object, or its coarsest one, or of all levels if it is None: the finest one is
+    then replaced by the others as it covers less of the image. Return the nodes of the file."""
+    objects.clear()
+    nodes: list[LevelNode] = []
     for levels in sets:
         first, bounds = len(nodes), _bounds(levels)
-        shown = levels.levels if number is None else [levels.levels[min(number, len(levels.levels) - 1)]]
-        for index, item in enumerate(shown):
-            others = () if index else tuple(range(first + 1, first + len(shown)))
-            nodes.append(GlbNode(item.name, len(meshes), _matrix(item), others, _coverages(levels) if others else ()))
-            meshes.append(GlbMesh(item.data.name, read_primitives(item, materials, levels.source_name), bounds))
-    return GlbScene(tuple(nodes), tuple(meshes), tuple(materials.materials), tuple(materials.images)), materials.unread
+        indices = range(len(levels.levels)) if number is None else [min(number, len(levels.levels) - 1)]
+        for index in indices:
+            item = levels.levels[index]
+            source = objects.add(item, levels.source_name)
+            others = tuple(range(first + 1, first + len(indices))) if len(nodes) == first else ()
+            name = f"{levels.source_name or levels.collection.name}_LOD{index}"
+            nodes.append(LevelNode(source, name, bounds, _matrix(item), others, _coverages(levels) if others else ()))
+    return nodes
 
 
-def read_primitives(item: bpy.types.Object, materials: GlbMaterials, source_name: str) -> tuple[GlbPrimitive, ...]:
-    """Return the triangles of an object by material, in its own space with y upwards, with normals, the UV map of the material and the
-    vertex colors that it shows. Note what else it has under `source_name`.
+def export_collection(collection: bpy.types.Collection) -> Document:
+    """Return the document of the file that Blender's exporter writes of a collection.
 
     Raises:
-        GeometryError: it has none, or is in Edit Mode. FileError: an image of a material cannot be read.
+        FileError: it cannot write an image or the file.
     """
-    if item.data.is_editmode:
-        raise GeometryError(f'"{item.name}" is in Edit Mode; leave it.')
-    mesh = read_evaluated_mesh(item.data, item)
-    if not len(mesh.triangles):
-        raise GeometryError(f'"{item.name}" has no triangles to write; make its levels again.')
-    normals = mesh.normals[mesh.loops].astype(np.float64)
-    primitives, uses = [], []
-    for index in np.unique(mesh.material_indices).tolist():
-        rows = np.flatnonzero(mesh.material_indices == index)
-        key = mesh.materials[index]
-        material, use = materials.add(None if key is None else find_material(key))
-        uvs, colors = use.read_uvs(mesh, rows), use.read_colors(mesh, rows)
-        materials.note_uvs(material, uvs)
-        uses.append(use)
-        primitives.append(_join_corners(mesh.vertices, mesh.triangles[rows], normals[rows], uvs, colors, material))
-    materials.note_attributes(source_name, item.data, uses)
-    return tuple(primitives)
+    layer, errors = bpy.context.view_layer, io.StringIO()
+    active = layer.objects.active
+    with temporary_folder() as folder, enabled_gltf(), redirect_stdout(io.StringIO()), redirect_stderr(errors):
+        path = folder / "levels.glb"
+        layer.objects.active = None  # Or the exporter would leave its mode.
+        try:
+            bpy.ops.export_scene.gltf(filepath=str(path), collection=collection.name, **OPTIONS)
+        except RuntimeError as error:  # raised by Blender
+            raise FileError(f"Blender's glTF exporter failed: {error_sentence(error)}.") from error
+        finally:
+            layer.objects.active = active
+        with convert_os_errors(f'Cannot read "{path}"'):
+            content = path.read_bytes()
+    messages = [line.partition("ERROR: ")[2] for line in errors.getvalue().splitlines() if "ERROR: " in line]
+    if messages:  # such as an image that it could not write
+        raise FileError(f"Blender's glTF exporter failed: {messages[-1]}. Free disk space and try again.")
+    return load_glb(content)
 
 
-def _join_corners(
-    vertices: np.ndarray,
-    triangles: np.ndarray,
-    normals: np.ndarray,
-    uvs: np.ndarray | None,
-    colors: np.ndarray | None,
-    material: int | None,
-) -> GlbPrimitive:
-    """Return a primitive in which corners with the same vertex, normal, texture coordinates and color are one vertex."""
-    columns = [triangles, np.rint(NORMAL_STEPS * normals), *(values for values in (uvs, colors) if values is not None)]
-    rows = np.concatenate([values.reshape(triangles.size, -1) for values in columns], axis=1)
-    _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-    positions = vertices[triangles.ravel()[first]].astype(np.float64) @ Y_UP.T
-    return GlbPrimitive(
-        positions,
-        inverse.reshape(-1, 3).astype(np.int32),
-        normals.reshape(-1, 3)[first] @ Y_UP.T,
-        None if uvs is None else uvs.reshape(-1, 2)[first],
-        None if colors is None else colors.reshape(triangles.size, -1)[first],
-        material,
-    )
+@contextmanager
+def enabled_gltf() -> Iterator[None]:
+    """Enable Blender's add-on for glTF meanwhile."""
+    was_enabled = addon_utils.check(GLTF)[1]
+    if not was_enabled:
+        addon_utils.enable(GLTF)
+    try:
+        yield
+    finally:
+        if not was_enabled:
+            addon_utils.disable(GLTF)
 
 
 def _matrix(item: bpy.types.Object) -> np.ndarray:

@@ -27,6 +27,7 @@ from .temporary_visibility import restore
 LEVEL = "texmesh_level"  # the KIND of the objects
 TRIANGLES = "farfield_triangles"
 SWITCH_DISTANCE = "farfield_switch_distance"  # in units of the object, for the display that the levels were made for
+MATERIAL = "farfield_material"  # property of the copy of a material: the name of the original
 FIGURES = "farfield_texmesh_figures"  # Property of the collection: JSON about how the levels were made.
 
 
@@ -156,6 +157,7 @@ def _parent_collection(source: bpy.types.Object, scene: bpy.types.Scene) -> bpy.
 def _copy_material(material: bpy.types.Material) -> bpy.types.Material:
     copy = material.copy()
     copy.use_transparent_shadow = True
+    copy[MATERIAL] = material.name
     return copy
 
 

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..files.glb import Y_UP, GlbMesh, GlbNode, GlbPrimitive, GlbScene, encode_glb
-from ..files.glb_materials import GlbMaterial, GlbTexture
+from ..files.glb import Y_UP, Document, save_glb
+from ..files.glb_levels import LevelNode, arrange_levels
 from ..geometry.mesh import vertex_normals
 from ..imaging.coded_images import encode
 from ..texmesh.level_chain import LevelChain
@@ -25,32 +25,38 @@ def encode_levels(name: str, chain: LevelChain, materials: Sequence[MaterialSour
     meshes = [level.mesh for level in chain.levels]
     vertices = meshes[0].vertices @ Y_UP.T
     bounds = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
-    nodes = [GlbNode(f"{name} L{index}", index) for index in range(len(meshes))]
-    if len(meshes) > 1:
-        coverages = level_coverages([level.pixel_size for level in chain.levels[1:]], bounds)
-        nodes[0] = GlbNode(nodes[0].name, 0, levels=tuple(range(1, len(meshes))), coverages=coverages)
-    images, indices = [], {}
-    for material in materials:
-        image = material.images.get("base_color")
-        if image is not None and id(image) not in indices:
-            indices[id(image)] = len(images)
-            images.append(encode(image, "jpeg", QUALITY))
-    textures = [
-        None if image is None else GlbTexture(indices[id(image)]) for image in (item.images.get("base_color") for item in materials)
-    ]
-    glb_materials = [
-        GlbMaterial(item.name, item.base_color, texture, item.is_double_sided) for item, texture in zip(materials, textures, strict=True)
-    ]
-    parts = [GlbMesh(node.name, tuple(_primitives(mesh)), bounds) for node, mesh in zip(nodes, meshes, strict=True)]
-    return encode_glb(GlbScene(tuple(nodes), tuple(parts), tuple(glb_materials), tuple(images)), is_quantized=True)
+    names = [f"{name}_LOD{index}" for index in range(len(meshes))]
+    coverages = level_coverages([level.pixel_size for level in chain.levels[1:]], bounds) if len(meshes) > 1 else ()
+    nodes = [LevelNode(item, item, bounds, np.eye(4)) for item in names]
+    nodes[0] = LevelNode(names[0], names[0], bounds, np.eye(4), tuple(range(1, len(meshes))), coverages)
+    images = {id(image): image for image in (item.images.get("base_color") for item in materials) if image is not None}
+    document = {
+        "nodes": [{"name": item, "mesh": index} for index, item in enumerate(names)],
+        "meshes": [{"primitives": _primitives(mesh)} for mesh in meshes],
+        "materials": [_describe_material(item, list(images)) for item in materials],
+        "textures": [{"source": index} for index in range(len(images))],
+        "images": [{"content": encode(image, "jpeg", QUALITY)} for image in images.values()],
+    }
+    return save_glb(arrange_levels(document, nodes, True, {}))
 
 
-def _primitives(mesh: TexturedMesh) -> list[GlbPrimitive]:
+def _describe_material(material: MaterialSource, images: Sequence[int]) -> Document:
+    """Return a material as in the file. images: identities of the images of textures."""
+    surface: Document = {"baseColorFactor": list(material.base_color), "metallicFactor": 0.0}
+    image = material.images.get("base_color")
+    surface |= {} if image is None else {"baseColorTexture": {"index": images.index(id(image))}}
+    sides = {"doubleSided": True} if material.is_double_sided else {}
+    return {"name": material.name, "pbrMetallicRoughness": surface, **sides}
+
+
+def _primitives(mesh: TexturedMesh) -> list[Document]:
     """Return the triangles of each material with smooth normals."""
     positions = (mesh.vertices @ Y_UP.T)[mesh.wedge_vertices]
     normals = (vertex_normals(mesh.vertices, mesh.triangles) @ Y_UP.T)[mesh.wedge_vertices]
+    uvs = mesh.uvs * [1.0, -1.0] + [0.0, 1.0]  # v is downwards
     primitives = []
     for material in np.unique(mesh.materials).tolist():
-        used, triangles = np.unique(mesh.wedge_triangles[mesh.materials == material], return_inverse=True)
-        primitives.append(GlbPrimitive(positions[used], triangles.reshape(-1, 3), normals[used], mesh.uvs[used], material=int(material)))
+        used, indices = np.unique(mesh.wedge_triangles[mesh.materials == material], return_inverse=True)
+        attributes = {"POSITION": positions[used], "NORMAL": normals[used], "TEXCOORD_0": uvs[used]}
+        primitives.append({"attributes": attributes, "indices": indices.ravel(), "material": material})
     return primitives

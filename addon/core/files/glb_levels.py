@@ -1,0 +1,207 @@
+"""Levels of detail in glTF files (MSFT_lod), plain or quantized (KHR_mesh_quantization), from the document of a general exporter.
+
+General tools quantize each mesh by itself, which moves equal vertices of levels apart.
+"""
+
+import json
+import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..errors import GeometryError
+from .glb import Document
+
+QUANTIZATION, LEVELS, SCREEN_COVERAGE = "KHR_mesh_quantization", "MSFT_lod", "MSFT_screencoverage"
+TEXTURE_TRANSFORM, UNLIT, MATERIALS = "KHR_texture_transform", "KHR_materials_unlit", "KHR_materials_"
+
+
+@dataclass(frozen=True, eq=False)
+class LevelNode:
+    """A mesh in the scene.
+
+    Attributes:
+        source: the name of its node in the document of the exporter.
+        name: any text.
+        bounds: (2, 3), the lowest and highest position that quantized positions can represent; meshes with the same bounds round equal
+            positions to equal ones.
+        matrix: (4, 4), from the mesh to the world, y upwards.
+        levels: indices of the nodes that replace this one as it covers less of the image, finest first.
+        coverages: of the node itself and of each level, the fraction of the image down to which it shows.
+    """
+
+    source: str
+    name: str
+    bounds: np.ndarray
+    matrix: np.ndarray
+    levels: tuple[int, ...] = ()
+    coverages: tuple[float, ...] = ()
+
+    @property
+    def grid(self) -> "_Grid":
+        """The cube that quantized positions fill, from -1 to 1."""
+        low, high = np.asarray(self.bounds, np.float64)
+        return _Grid(0.5 * (low + high), float(0.5 * (high - low).max()) or 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """Values that the stored ones represent: offset + scale * stored. The scale is the same in all directions, so that neither normals nor
+    turned textures are distorted."""
+
+    offset: np.ndarray
+    scale: float
+
+
+def arrange_levels(
+    document: Document, nodes: Sequence[LevelNode], is_quantized: bool, names: Mapping[str, str], unlit: Collection[str] = ()
+) -> Document:
+    """Return a document with the meshes, materials and images of an exporter in other nodes. The input is changed.
+
+    is_quantized: store positions in 16 bits with the transform of the node, texture coordinates in 16 bits, normals in 8 bits and colors
+    in 16 bits, where they are within 0..1. Texture coordinates outside of 0..1 are scaled by the material (KHR_texture_transform); without
+    a texture they remain single precision. names: of materials, by those in `document`. unlit: materials of `document` that are shown
+    without light.
+
+    Raises:
+        GeometryError: a mesh has no triangles, or coordinates that are not finite.
+    """
+    _merge(document, names, unlit)
+    sources = {node["name"]: node["mesh"] for node in document["nodes"] if "mesh" in node}
+    meshes, grids, written = {}, {}, []
+    for node in nodes:
+        if node.source not in sources:
+            raise GeometryError(f'"{node.name}" has no triangles to write; choose an object with a surface.')
+        source = sources[node.source]
+        meshes.setdefault(source, {**document["meshes"][source], "name": node.name})
+        grids.setdefault(source, node.grid)
+        written.append(_write_node(node, list(meshes).index(source), is_quantized))
+    uv_grids = _find_uv_grids(document) if is_quantized else {}
+    for source, mesh in meshes.items():
+        for part in mesh["primitives"]:
+            _write_primitive(part, mesh["name"], grids[source] if is_quantized else None, uv_grids)
+    for (material, uv_map), grid in uv_grids.items():
+        for texture in _textures(document["materials"][material]):
+            if _uv_map(texture) == uv_map:
+                placement = texture.setdefault("extensions", {}).setdefault(TEXTURE_TRANSFORM, {})
+                placement |= _move_placement(placement, grid)
+    levels = {index for node in nodes for index in node.levels}
+    added = {QUANTIZATION: is_quantized, TEXTURE_TRANSFORM: bool(uv_grids)}
+    kept = {key: document[key] for key in ("materials", "textures", "images", "samplers") if key in document}
+    scenes = [{"nodes": [index for index in range(len(nodes)) if index not in levels]}]
+    extensions = _list_extensions(document, {name for name, is_needed in added.items() if is_needed}, bool(levels))
+    return {**extensions, "scenes": scenes, "nodes": written, "meshes": list(meshes.values()), **kept}
+
+
+def _list_extensions(document: Document, added: Collection[str], has_levels: bool) -> dict[str, list[str]]:
+    """Return the extensions that a file uses, and those that a reader needs to show it correctly, `added` among them."""
+    required = {*document.get("extensionsRequired", ()), *added}
+    used = required | {name for name in document.get("extensionsUsed", ()) if not name.startswith(MATERIALS)}
+    used |= {name for material in document["materials"] for name in material.get("extensions", {})} | ({LEVELS} if has_levels else set())
+    return {"extensionsUsed": sorted(used), "extensionsRequired": sorted(required)}
+
+
+def _merge(document: Document, names: Mapping[str, str], unlit: Collection[str]) -> None:
+    """Give materials their final names, let those of `unlit` be shown without light, and let equal textures and materials be one."""
+    textures = _keep_first(document, "textures")
+    for material in document.get("materials", ()):
+        material |= {"extensions": {UNLIT: {}}} if material.get("name") in unlit else {}
+        material["name"] = names.get(material.get("name", ""), material.get("name", ""))
+        for texture in _textures(material):
+            texture["index"] = textures[texture["index"]]
+    materials = _keep_first(document, "materials")
+    for part in _primitives(document):
+        part |= {"material": materials[part["material"]]} if "material" in part else {}
+
+
+def _keep_first(document: Document, key: str) -> list[int]:
+    """Remove repetitions from a list of a document, and return the new index of each item."""
+    kept: dict[str, int] = {}
+    indices = [kept.setdefault(json.dumps(item, sort_keys=True), len(kept)) for item in document.get(key, ())]
+    document[key] = [json.loads(text) for text in kept]
+    return indices
+
+
+def _primitives(document: Document) -> Iterator[Document]:
+    for mesh in document["meshes"]:
+        yield from mesh["primitives"]
+
+
+def _textures(value: object) -> Iterator[dict[str, Any]]:
+    """Yield the references to textures within a material."""
+    for key, item in value.items() if isinstance(value, dict) else ():
+        if key.endswith("Texture"):
+            yield item
+        else:
+            yield from _textures(item)
+
+
+def _uv_map(texture: Mapping[str, Any]) -> int:
+    return texture.get("extensions", {}).get(TEXTURE_TRANSFORM, {}).get("texCoord", texture.get("texCoord", 0))
+
+
+def _find_uv_grids(document: Document) -> dict[tuple[int, int], _Grid]:
+    """Return the range of the texture coordinates of all primitives, by material and number of their UV map, as far as they leave 0..1
+    and textures use them."""
+    found: dict[tuple[int, int], list[np.ndarray]] = {}
+    for part in _primitives(document):
+        if "material" in part:
+            for uv_map in {_uv_map(texture) for texture in _textures(document["materials"][part["material"]])}:
+                uvs = part["attributes"].get(f"TEXCOORD_{uv_map}")
+                if uvs is not None:
+                    found.setdefault((part["material"], uv_map), []).append(uvs)
+    grids = {}
+    for key in sorted(found):
+        uvs = np.concatenate(found[key]).astype(np.float64)
+        low, high = uvs.min(axis=0), uvs.max(axis=0)
+        if (low < 0.0).any() or (high > 1.0).any():
+            grids[key] = _Grid(low, float((high - low).max()) or 1.0)
+    return grids
+
+
+def _move_placement(placement: Mapping[str, Any], grid: _Grid) -> dict[str, list[float]]:
+    """Return offset and scale of a texture that was placed by `placement`, for the stored values of a grid."""
+    angle, scale = placement.get("rotation", 0.0), np.array(placement.get("scale", (1.0, 1.0)))
+    turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])  # v is downwards
+    offset = turn @ (scale * grid.offset) + placement.get("offset", (0.0, 0.0))
+    return {"offset": offset.tolist(), "scale": (scale * grid.scale).tolist()}
+
+
+def _write_primitive(part: Document, name: str, grid: _Grid | None, uv_grids: Mapping[tuple[int, int], _Grid]) -> None:
+    """Quantize the attributes of a primitive if there is a `grid` for its positions, and let equal vertices be one."""
+    attributes = {key: np.asarray(values, np.float32) for key, values in part["attributes"].items()}
+    if not all(np.isfinite(values).all() for values in attributes.values()):
+        raise GeometryError(f'"{name}" has coordinates or colors that are not finite; repair its mesh.')
+    for key, values in part["attributes"].items() if grid is not None else ():
+        uv_map = int(key.removeprefix("TEXCOORD_")) if key.startswith("TEXCOORD_") else -1
+        attributes[key] = _quantize(key, values, grid, uv_grids.get((part.get("material", -1), uv_map)))
+    rows = np.concatenate([np.ascontiguousarray(values).view(np.uint8).reshape(len(values), -1) for values in attributes.values()], axis=1)
+    _, first, inverse = np.unique(rows.view(f"V{rows.shape[1]}").ravel(), return_index=True, return_inverse=True)
+    kept, places = np.unique(first, return_inverse=True)
+    part["attributes"] = {key: values[kept] for key, values in attributes.items()}
+    part["indices"] = places[inverse.ravel()][part["indices"]]
+
+
+def _quantize(name: str, values: np.ndarray, grid: _Grid, uv_grid: _Grid | None) -> np.ndarray:
+    """Return stored values of a vertex attribute: integers as fractions of the largest, or floats outside of 0..1."""
+    if name == "POSITION":
+        return np.rint(32767.0 * np.clip((values - grid.offset) / grid.scale, -1.0, 1.0)).astype(np.int16)
+    if name == "NORMAL":
+        return np.rint(127.0 * values).astype(np.int8)
+    if uv_grid is not None:
+        values = np.clip((values - uv_grid.offset) / uv_grid.scale, 0.0, 1.0)
+    is_fraction = values.min() >= 0.0 and values.max() <= 1.0
+    return np.rint(65535.0 * values.astype(np.float64)).astype(np.uint16) if is_fraction else values.astype(np.float32)
+
+
+def _write_node(node: LevelNode, mesh: int, is_quantized: bool) -> Document:
+    matrix = np.array(node.matrix, np.float64)
+    if is_quantized:
+        matrix[:3, 3] += matrix[:3, :3] @ node.grid.offset
+        matrix[:3, :3] *= node.grid.scale
+    result: Document = {"name": node.name, "mesh": mesh, "matrix": matrix.T.ravel().tolist()}  # column by column
+    if node.levels:
+        result |= {"extensions": {LEVELS: {"ids": list(node.levels)}}, "extras": {SCREEN_COVERAGE: list(node.coverages)}}
+    return result
