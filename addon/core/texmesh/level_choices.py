@@ -26,7 +26,7 @@ from .textured_mesh import TexturedMesh
 MIN_PIXELS = 4  # A level is worth having if the image of the object has so many pixels where it switches.
 MIN_STEP = 0.05  # Relative growth of the distance from one scale to the next that counts as a step of the step function.
 RANGE_MARGIN = 2.0  # Triangles are averaged over distances from this factor below the nearest switch to this factor beyond the farthest.
-MAX_LEVELS = 6  # of the perceptual choice, the original included
+MAX_LEVELS = 6  # Levels of the perceptual choice, the original included.
 VERTEX_BYTES, TRIANGLE_BYTES = 16, 6  # Quantized geometry: position, texture coordinates and normal; indices.
 
 

@@ -25,7 +25,7 @@ LABEL_POINTS = LABEL_POINTS / LABEL_POINTS.sum(axis=1, keepdims=True)
 CHUNK_POINTS = 1 << 14
 CELLS_PER_TRIANGLE = 2.0
 MAX_CELLS = 1 << 22
-MIN_EXTENT = 1e-6  # of a grid in one direction, relative to the other one
+MIN_EXTENT = 1e-6  # Extent of a grid in one direction, relative to the other one.
 INSIDE_TOLERANCE = 1e-9  # Tolerance of barycentric coordinates.
 NEAR_EDGES = 0.5  # Points that are farther from where their texture is, in edge lengths of the level, correspond to the nearest ones.
 UNTEXTURED = -1  # in place of the island of triangles whose texture coordinates have no area
