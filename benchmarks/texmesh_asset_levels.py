@@ -86,6 +86,13 @@ def find_assets(objects: Sequence[bpy.types.Object], min_triangles: int) -> list
     return assets
 
 
+def find_points(assets: Sequence[Asset]) -> np.ndarray:
+    """Return the vertices (N, 3) of all objects in world space."""
+    return np.concatenate(
+        [transform_points(np.array(world_matrix(user)), read_positions(asset.mesh)) for asset in assets for user in asset.users]
+    )
+
+
 def read_surface(mesh: bpy.types.Mesh, uv_map: str, matrix: np.ndarray) -> TexturedMesh:
     """Return the triangles of a Blender mesh in the space of `matrix` (4, 4), each with corners of its own. materials: of its slots."""
     loops, polygons = read_loop_triangles(mesh)

@@ -10,15 +10,16 @@ from typing import Any
 
 import bpy
 import numpy as np
-from texmesh_asset_levels import Asset
+from texmesh_asset_levels import Asset, find_points
 
 from farfield.addon.core.imaging.colors import encode_signed_srgb
 from farfield.addon.core.imaging.flip import compare, prepare_image
 from lib.contact_sheet import draw_contact_sheet, write_png
-from lib.studio import SKY_RADIANCE, Studio, bounding_sphere, open_studio
+from lib.studio import SKY_RADIANCE, Studio, look_at_matrix, open_studio
 
 RENDERED = ("farfield", "decimate", "gltfpack")
 SIZE, SAMPLES, PICTURE_SAMPLES = 256, 32, 64
+MARGIN = 1.04  # Of an image relative to the model.
 VIEWS = ((40.0, 20.0), (160.0, 35.0), (280.0, 10.0))  # azimuth and elevation, degrees
 LIGHTS = ((-45.0, 40.0), (150.0, 30.0))  # from the camera: azimuth and, above the horizon, elevation
 PICTURE_RATIOS = (0.25, 0.1)
@@ -50,7 +51,7 @@ class Views:
 
     def __init__(self, studio: Studio, objects: Sequence[bpy.types.Object], assets: Sequence[Asset]) -> None:
         self._studio, self._objects, self._assets = studio, objects, assets
-        self._center, self._radius = bounding_sphere(objects)
+        self._points = find_points(assets)
 
     def render_all(self, method: str, ratio: float) -> list[np.ndarray]:
         """Return the images (SIZE, SIZE, 4) of all views with all lights."""
@@ -70,8 +71,11 @@ class Views:
 
     def _render(self, view: tuple[float, float], light: tuple[float, float]) -> np.ndarray:
         self._studio.set_sun_direction(direction_to(view[0] + light[0], light[1]))
-        pixel = 2.0 * self._radius / SIZE
-        return self._studio.render(self._objects, direction_to(*view), self._center, pixel, SIZE)
+        axes = np.array(look_at_matrix(direction_to(*view), np.zeros(3)))[:3, :3]
+        places = self._points @ axes
+        low, high = places.min(axis=0), places.max(axis=0)
+        extent = max(*(high - low)[:2], 0.25 * (high - low)[2])  # The camera sees ten times as deep as wide.
+        return self._studio.render(self._objects, axes[:, 2], axes @ (0.5 * (low + high)), MARGIN * extent / SIZE, SIZE)
 
 
 def direction_to(azimuth: float, elevation: float) -> np.ndarray:

@@ -23,12 +23,11 @@ from typing import Any
 
 import numpy as np
 import texmesh_asset_renders
-from texmesh_asset_levels import Asset, add_farfield_levels, add_peer_levels, find_assets, read_surface
+from texmesh_asset_levels import Asset, add_farfield_levels, add_peer_levels, find_assets, find_points, read_surface
 from texmesh_assets import GENERATORS, JUDGING, TUNING, open_asset
 from texmesh_equal_uvs import MeasuredSurface, TextureDistances, measure_largest, measure_texture
 
 from farfield.addon.core.errors import FarfieldError
-from lib.studio import bounding_sphere
 
 RATIOS = (0.5, 0.25, 0.1, 0.03)
 SMALLEST_RATIO = 0.01
@@ -85,8 +84,8 @@ def measure_model(given: Namespace, name: str) -> dict[str, Any]:
     result["seconds"] = round(time.perf_counter() - started, 1)
     for asset in assets:
         add_peer_levels(asset, RATIOS)
-    users = [user for asset in assets for user in asset.users]
-    result["levels"] = measure_levels(assets, 2.0 * bounding_sphere(users)[1])
+    diagonal = float(np.linalg.norm(np.ptp(find_points(assets), axis=0)))
+    result["levels"] = measure_levels(assets, diagonal)
     result["targets"] = {f"{ratio:.0%}": check_targets(assets, ratio) for ratio in (*RATIOS, SMALLEST_RATIO)}
     if given.flip or given.pictures:
         texmesh_asset_renders.add_renders(given, name, assets, result["levels"])
