@@ -72,15 +72,16 @@ class Candidates:
 def make_candidates(mesh: TexturedMesh, scale_map: ScaleMap, ratios: Sequence[float], settings: TexmeshSettings) -> Steps[Candidates]:
     """Simplify a mesh to candidates for levels, each coarser than the one before it.
 
-    ratios: the fractions of the triangles that they have; none to have one candidate for each scale that makes a difference.
+    ratios: the fractions of the triangles that they have; none for steps of STEP.
 
     Raises:
         SettingsError: see `targets_of_ratios`.
     """
+    wanted = settings.number - 1 if settings.levels == "number" else 0
     if len(mesh.triangles) < MIN_TRIANGLES:
         targets, scales = [], []
     else:
-        targets, scales = targets_of_ratios(mesh, scale_map, ratios) if ratios else choose_targets(mesh, scale_map)
+        targets, scales = targets_of_ratios(mesh, scale_map, ratios) if ratios else choose_targets(mesh, scale_map, wanted)
     is_optimized = settings.vertices == "optimized"
     plain = merge_wedges(mesh) if is_optimized else mesh
     attributes = CornerAttributes(mesh, FineSurface.of(plain)) if is_optimized else None
@@ -112,13 +113,17 @@ def _priorities(scale_map: ScaleMap) -> np.ndarray:
     return scale_map.last_scales + rank / max(len(rank), 1)
 
 
-def choose_targets(mesh: TexturedMesh, scale_map: ScaleMap) -> tuple[list[int], list[int]]:
-    """Return triangle counts of candidates, descending, and the last scale of which each still has all features."""
+def choose_targets(mesh: TexturedMesh, scale_map: ScaleMap, number: int = 0) -> tuple[list[int], list[int]]:
+    """Return triangle counts of candidates, descending, and the last scale of which each still has all features.
+
+    number: of candidates, if the mesh has enough triangles; fewer come from STEP.
+    """
     total = len(mesh.triangles)
     smallest = max(MIN_TRIANGLES // 2, round(min(MIN_FRACTION * total, FEW_TRIANGLES)))
-    targets = []
-    while STEP * (last := targets[-1] if targets else total) >= smallest:
-        targets.append(round(STEP * last))
+    count = max(int(math.log(smallest / total, STEP)), 1)
+    step = STEP if number <= count else (smallest / total) ** (1.0 / number)
+    targets = dict.fromkeys(round(total * step**index) for index in range(1, max(count, number) + 1))
+    targets = [target for target in targets if smallest <= target < total]
     return targets, _find_scales(mesh, scale_map, targets)
 
 

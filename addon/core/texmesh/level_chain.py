@@ -12,7 +12,7 @@ import numpy as np
 from ..imaging.mipmaps import Mipmaps, build_mipmaps
 from ..jobs.progress import Progress, Steps, subprogress
 from .level_candidates import Candidate, Candidates, make_candidates, parse_ratios
-from .level_choices import MIN_PIXELS, ComparedCandidates, choose_candidates, compare_candidates, count_bytes, view_levels
+from .level_choices import AS_MANY_AS_ASKED, MIN_PIXELS, ComparedCandidates, choose_candidates, compare_candidates, count_bytes, view_levels
 from .perception.level_images import LevelImages
 from .perception.switch_distances import Switch, find_shown_levels, find_switches, open_images
 from .perception.weber import Impacts
@@ -23,8 +23,6 @@ from .scale_space.features import ScaleMap
 from .settings import TexmeshSettings
 from .simplification.levels import Simplification, SubsetLevel
 from .textured_mesh import TexturedMesh
-
-AS_MANY_AS_ASKED = ("number", "ratios")  # choices of levels that are all shown from some distance
 
 
 @dataclass(frozen=True)

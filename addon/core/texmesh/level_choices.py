@@ -26,6 +26,7 @@ from .textured_mesh import TexturedMesh
 MIN_PIXELS = 4  # A level is worth having if the image of the object has so many pixels where it switches.
 MIN_STEP = 0.05  # Relative growth of the distance from one scale to the next that counts as a step of the step function.
 RANGE_MARGIN = 2.0  # Triangles are averaged over distances from this factor below the nearest switch to this factor beyond the farthest.
+AS_MANY_AS_ASKED = ("number", "ratios")  # choices of levels that are all shown from some distance
 MAX_LEVELS = 6  # Levels of the perceptual choice, the original included.
 VERTEX_BYTES, TRIANGLE_BYTES = 16, 6  # Quantized geometry: position, texture coordinates and normal; indices.
 
@@ -74,7 +75,7 @@ def compare_candidates(candidates: Candidates, mipmaps: Sequence[Mipmaps | None]
     impacts = measure_impacts(original.vertices, original.triangles, candidates.divide_collapses(), len(items) - 1, settings)
     images = open_images(view_levels(items, mipmaps, settings), settings)
     switches = yield from find_switches(images, settings)
-    count = len(items) if settings.levels == "ratios" else _count_useful(switches, candidates.is_optimized)
+    count = len(items) if settings.levels in AS_MANY_AS_ASKED else _count_useful(switches, candidates.is_optimized)
     return ComparedCandidates(items[:count], images[:count], [0.0, *(switch.pixel_size for switch in switches[: count - 1])], impacts)
 
 
@@ -114,8 +115,10 @@ def choose_perceptual(compared: ComparedCandidates, settings: TexmeshSettings) -
 
 
 def choose_number(compared: ComparedCandidates, settings: TexmeshSettings) -> list[int]:
-    """Choose a number of levels."""
-    return choose_levels(_list_options(compared), LevelBudget(count=settings.number))
+    """Choose a number of levels; where fewer have the fewest triangles over all distances, further ones, the finest first."""
+    chosen = choose_levels(_list_options(compared), LevelBudget(count=settings.number))
+    others = [index for index in range(len(compared.items)) if index not in chosen]
+    return sorted([*chosen, *others[: settings.number - len(chosen)]])
 
 
 def choose_by_triangles(compared: ComparedCandidates, settings: TexmeshSettings) -> list[int]:

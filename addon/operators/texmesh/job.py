@@ -121,7 +121,7 @@ class LevelsJob:
         remarks = []
         for index, (chain, rebaked) in enumerate(core_result):
             remarks += self._add(objects[index], index, chain, rebaked, materials[index], scene)
-        counts = _count_triangles(self.sources, [chain for chain, _ in core_result])
+        counts = _count_triangles(self.sources, [chain for chain, _ in core_result], self.settings)
         return join_sentences([*counts, *remarks, *describe_skipped(self.skipped)])
 
     def _add(
@@ -159,7 +159,7 @@ class LevelsJob:
         return pixel_size / np.tan(np.radians(1.0 / self.settings.pixels_per_degree))
 
 
-def _count_triangles(sources: Sequence[TexturedSource], chains: Sequence[LevelChain]) -> list[str]:
+def _count_triangles(sources: Sequence[TexturedSource], chains: Sequence[LevelChain], settings: TexmeshSettings) -> list[str]:
     """Return sentences about the triangles of the levels of each object, or, of more than `MAX_LISTED` objects, of all together."""
     if len(chains) > MAX_LISTED:
         finest, coarsest = (sum(len(chain.levels[index].mesh.triangles) for chain in chains) for index in (0, -1))
@@ -171,6 +171,8 @@ def _count_triangles(sources: Sequence[TexturedSource], chains: Sequence[LevelCh
         counts = ", ".join(f"{len(level.mesh.triangles):,}" for level in chain.levels)
         has_levels = f'"{source.name}" has {format_count(len(chain.levels), "level")} with {counts} triangles.'
         sentences += [describe_small(source) or has_levels, *(level.constraint for level in chain.levels)]
+        if settings.levels == "number" and len(chain.levels) < settings.number:
+            sentences.append(f'"{source.name}" has fewer than {settings.number} levels, since there are no more with different triangles.')
     return sentences
 
 
