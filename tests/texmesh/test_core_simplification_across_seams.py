@@ -34,7 +34,7 @@ def test_many_islands_do_not_stop_the_collapses(islands):
     level = simplify(mesh, len(mesh.triangles) // 20)
     edges = find_edges(level.triangles)
     assert (edges.face_counts == 2).all() and len(level.vertices) == len(level.triangles) // 2  # a torus still
-    assert deviate(mesh, level) < 1.3 * deviate(mesh, simplify(torus(islands=1), len(mesh.triangles) // 20))
+    assert deviate(mesh, level) < 1.5 * deviate(mesh, simplify(torus(islands=1), len(mesh.triangles) // 20))
 
 
 def test_corners_have_texture_coordinates_of_their_islands_and_materials():

@@ -18,7 +18,7 @@ from .outliers import FineSurface, gather_points
 SAMPLES = 20_000  # Points of the fine mesh.
 QUANTILE = 0.99  # Of the deviations of the texture, since points whose island a level lacks have none.
 MAX_RATIO = 1.25  # A level is not worse if its deviations are at most this multiple of those of the other,
-TOLERANCE = 1e-3  # or this fraction of the longest side of the mesh.
+TOLERANCE = 1e-4  # or this fraction of the longest side of the mesh.
 
 
 @dataclass(frozen=True)

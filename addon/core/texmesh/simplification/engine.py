@@ -124,11 +124,13 @@ class WedgeMoves:
         owners: (M,) int32, into the collapses, ascending.
         removed: (M,) wedges of the removed vertices.
         kept: (M,) wedges of the kept vertices that replace them, or the removed ones, which then move to the kept vertices.
+        lost_islands: (2, N) UV islands whose last triangles vanish with those at each side of the edge; -1 for none.
     """
 
     owners: np.ndarray
     removed: np.ndarray
     kept: np.ndarray
+    lost_islands: np.ndarray
 
 
 class CollapseEngine:
@@ -137,6 +139,7 @@ class CollapseEngine:
     Attributes:
         mesh: with copies of vertices and wedges where several surfaces touch.
         is_locked: (V,) bool, vertices where surfaces touch that stay.
+        islands: (T,) int32, UV islands of `mesh`.
         is_reversed: (T,) bool, triangles that have the opposite orientation in the mesh that was given.
         fine_vertices, fine_wedges: (V,), (W,) int32, those that were given.
         groups: (W,) wedges between which there are no seams.
@@ -156,7 +159,8 @@ class CollapseEngine:
         self.triangles, self.wedges = (np.ascontiguousarray(array.T) for array in (mesh.triangles, mesh.wedge_triangles))
         self.materials, self.is_reversed = mesh.materials.copy(), divided.is_reversed
         self.groups = group_by_texture(mesh) if crosses_seams else np.arange(len(mesh.uvs), dtype=np.int32)
-        self.orientations = find_orientations(mesh.corner_uvs, find_islands(mesh))
+        self.islands = find_islands(mesh)
+        self.orientations = find_orientations(mesh.corner_uvs, self.islands)
         vectors = (mesh.vertices, vertex_normals(mesh.vertices, mesh.triangles), mesh.uvs)
         self.surface = Surface(*(np.ascontiguousarray(values.T) for values in vectors))
         self._strictest = self.relaxation = Relaxation(crosses_seams=crosses_seams)
@@ -186,7 +190,18 @@ class CollapseEngine:
         counts = starts[collapses.removed + 1] - starts[collapses.removed]
         owners = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
         removed = wedges[concatenate_ranges(starts[collapses.removed], counts)]
-        return WedgeMoves(owners, removed, replace_wedges(collapses, owners, removed, self.groups, self.mesh.attributes))
+        kept = replace_wedges(collapses, owners, removed, self.groups, self.mesh.attributes)
+        return WedgeMoves(owners, removed, kept, self._find_lost_islands(collapses.halfedges))
+
+    def _find_lost_islands(self, halfedges: np.ndarray) -> np.ndarray:
+        """Return the islands (2, N) whose last triangles are those at `halfedges` (N,), see `WedgeMoves`."""
+        twins = self.topology.twins[halfedges]
+        first = self.islands[halfedges % self.triangle_count]
+        second = np.where(twins >= 0, self.islands[twins % self.triangle_count], np.int32(-1))
+        counts = np.bincount(self.islands, minlength=1)
+        is_first = counts[first] == 1 + (first == second)
+        is_second = (second >= 0) & (second != first) & (counts[np.maximum(second, 0)] == 1)
+        return np.stack([np.where(is_first, first, -1), np.where(is_second, second, -1)])
 
     def retry(self, is_forced: bool = False) -> bool:
         """Let all refused vertices be tried again, unless hardly any collapses were performed since the last time. Return whether they are.
@@ -230,15 +245,15 @@ class CollapseEngine:
 
     def _keep(self, is_kept: np.ndarray) -> None:
         self.triangles, self.wedges = (np.compress(is_kept, array, axis=1) for array in (self.triangles, self.wedges))
-        self.materials, self.orientations, self.is_reversed = (
-            values[is_kept] for values in (self.materials, self.orientations, self.is_reversed)
-        )
+        columns = (self.materials, self.islands, self.orientations, self.is_reversed)
+        self.materials, self.islands, self.orientations, self.is_reversed = (values[is_kept] for values in columns)
 
     def add_triangles(self, vertices: np.ndarray, wedges: np.ndarray, neighbors: np.ndarray) -> None:
         """Add triangles of `vertices` and `wedges` (3, N) like their `neighbors` (N,), and let refused vertices be tried again."""
         self.triangles, self.wedges = np.concatenate([self.triangles, vertices], axis=1), np.concatenate([self.wedges, wedges], axis=1)
-        self.materials, self.orientations, self.is_reversed = (
-            np.concatenate([values, values[neighbors]]) for values in (self.materials, self.orientations, self.is_reversed)
+        columns = (self.materials, self.islands, self.orientations, self.is_reversed)
+        self.materials, self.islands, self.orientations, self.is_reversed = (
+            np.concatenate([values, values[neighbors]]) for values in columns
         )
         self._is_waiting[:] = False
         self.rebuild()

@@ -145,7 +145,7 @@ class TextureQuadrics(WedgeQuadrics):
         positions = (mesh.vertices - mesh.vertices.mean(axis=0)) * unit
         scales, overall = _find_uv_scales(mesh, unit)
         points = np.concatenate([positions[mesh.wedge_vertices], mesh.uvs * overall], axis=1)
-        super().__init__(points, positions)
+        super().__init__(mesh, points, positions)
         triangles = np.ascontiguousarray(mesh.triangles.T)
         wedges = np.ascontiguousarray(mesh.wedge_triangles.T)
         topology = build_topology(triangles, wedges, np.arange(len(points)), np.zeros(len(mesh.vertices), bool))

@@ -2,19 +2,24 @@
 
 import numpy as np
 
+from ...geometry.mesh import face_areas_and_normals, longest_side
 from ...jobs.chunks import slices
+from ..textured_mesh import TexturedMesh
 from .engine import WedgeMoves
-from .topology import Collapses
+from .topology import Collapses, find_islands
 
 ROWS, COLUMNS = np.triu_indices(6)
 CHUNK_COLLAPSES = 1 << 13
+LOST_DISTANCE = 0.05  # The texture of an island that vanishes counts as so far away, relative to the longest side of the mesh.
 
 
 class WedgeQuadrics:
     """The part that costs of collapses have in common. A subclass adds quadrics (W, 21) and areas (W,) of wedges, then calls `finish`."""
 
-    def __init__(self, points: np.ndarray, positions: np.ndarray) -> None:
-        """points: (W, 5), positions and texture coordinates of wedges, scaled alike. positions: (V, 3), of the vertices."""
+    def __init__(self, mesh: TexturedMesh, points: np.ndarray, positions: np.ndarray) -> None:
+        """points: (W, 5), positions and texture coordinates of wedges, scaled alike. positions: (V, 3), of the vertices of `mesh`."""
+        areas = face_areas_and_normals(positions[mesh.triangles])[0]
+        self._island_costs = np.bincount(find_islands(mesh), areas) * (LOST_DISTANCE * longest_side(positions)) ** 2
         self._points, self._positions = points.copy(), positions
         self._monomials = _list_monomials(points)
         self._quadrics = np.zeros((len(points), len(ROWS)))
@@ -51,6 +56,8 @@ class WedgeQuadrics:
             costs += np.bincount(owners, rest, len(costs))
         first, second = collapses.kept_wedges
         costs += self._own_costs[first] + np.where((second >= 0) & (second != first), self._own_costs[second], 0.0)
+        for islands in moves.lost_islands:
+            costs += np.where(islands >= 0, self._island_costs[islands], 0.0)
         return np.maximum(costs, 0.0)
 
     def _evaluate(self, removed: np.ndarray, kept: np.ndarray) -> np.ndarray:
