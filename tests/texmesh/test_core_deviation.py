@@ -7,7 +7,14 @@ import pytest
 from texmesh_deviation import measure_geometric_deviation, measure_texture_deviation
 
 from farfield.addon.core.geometry.mesh import TriangleMesh, concatenate
-from farfield.addon.core.texmesh.refitting.correspondence import compute_uv_scale, find_correspondence, match_islands, sample_surface
+from farfield.addon.core.texmesh.refitting.correspondence import (
+    UNTEXTURED,
+    compute_uv_scale,
+    find_correspondence,
+    find_textured_islands,
+    match_islands,
+    sample_surface,
+)
 from farfield.addon.core.texmesh.simplification.topology import find_islands
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 from tests.shapes import sheet
@@ -80,3 +87,18 @@ def test_corresponding_points_have_the_texture_coordinates_of_the_samples():
     found = find_correspondence(samples, level.vertices[level.triangles], level.corner_uvs, islands)
     uvs = np.einsum("ni,nic->nc", found.barycentric, level.corner_uvs[found.triangles])
     assert found.is_covered.all() and np.allclose(uvs, samples.uvs)
+
+
+def test_samples_without_texture_correspond_to_the_nearest_points():
+    """One sheet has no area in texture space, the other one's texture has moved far away in the level."""
+    fine = build_textured_mesh(sheet(4), np.zeros((32, 3, 2)))
+    samples = sample_surface(fine, find_textured_islands(fine), COUNT, np.random.default_rng(3))
+    assert (samples.islands == UNTEXTURED).all()
+    level = replace(fine, vertices=fine.vertices + [0.0, 0.0, 0.1])
+    for mesh, moved in ((fine, level), (build_sheet(4), build_sheet(4, shift=7.0))):
+        samples = sample_surface(mesh, find_textured_islands(mesh), COUNT, np.random.default_rng(3))
+        corners = level.vertices[level.triangles]
+        found = find_correspondence(samples, corners, moved.corner_uvs, find_textured_islands(moved))
+        points = np.einsum("ni,nic->nc", found.barycentric, corners[found.triangles])
+        assert found.is_spatial.mean() > 0.9 and not found.is_covered.any()
+        np.testing.assert_allclose((points - samples.positions)[found.is_spatial], [[0.0, 0.0, 0.1]] * found.is_spatial.sum(), atol=1e-12)

@@ -8,7 +8,7 @@ import pytest
 from texmesh_deviation import make_refit_levels, measure_geometric_deviation, measure_texture_deviation
 
 from farfield.addon.core.geometry.edges import find_edges, halfedge_ends
-from farfield.addon.core.geometry.mesh import concatenate
+from farfield.addon.core.geometry.mesh import TriangleMesh, concatenate
 from farfield.addon.core.geometry.transforms import signed_areas
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh import level_chain
@@ -102,6 +102,14 @@ def test_levels_that_the_refit_made_worse_keep_their_vertices(monkeypatch, is_sp
     chain = run_to_end(level_chain.make_levels(mesh, [checkered(16)], settings))
     are_kept = (chain.levels[1].mesh.vertices[:, None] == mesh.vertices).all(axis=2).any(axis=1)
     assert are_kept.all() == is_spiked
+
+
+def test_levels_without_texture_coordinates_are_refitted_in_space():
+    sphere = textured_sphere(24)
+    fine = build_textured_mesh(TriangleMesh(sphere.vertices, sphere.triangles), np.zeros((len(sphere.triangles), 3, 2)))
+    coarse = simplify(fine, 100)
+    deviations = [measure_geometric_deviation(fine, mesh, 4000).from_fine.mean for mesh in (coarse, run_to_end(refit(fine, coarse, 100)))]
+    assert deviations[1] < 0.6 * deviations[0]
 
 
 def test_no_triangle_is_flipped_in_texture_space(refitted):

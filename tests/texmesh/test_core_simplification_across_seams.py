@@ -10,7 +10,7 @@ from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.core.texmesh.simplification.levels import extract_level, simplify_by_cost
 from farfield.addon.core.texmesh.simplification.topology import orient_alike
-from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
+from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh, merge_wedges
 from textured_models import check_no_flips, plane, torus
 
 CHOSEN = TexmeshSettings(drastic_simplification=False)
@@ -63,7 +63,7 @@ def test_hard_edges_do_not_stop_the_collapses():
     smooth = torus(24, 12, 1)
     normals = face_areas_and_normals(smooth.vertices[smooth.triangles])[1]
     base = TriangleMesh(smooth.vertices, smooth.triangles)
-    mesh = build_textured_mesh(base, smooth.corner_uvs, np.repeat(normals[:, None], 3, axis=1))
+    mesh = merge_wedges(build_textured_mesh(base, smooth.corner_uvs, np.repeat(normals[:, None], 3, axis=1), has_normals=True))
     assert deviate(mesh, simplify(mesh, 100)) < 1.1 * deviate(smooth, simplify(smooth, 100))
 
 
@@ -87,3 +87,13 @@ def test_a_moebius_strip_is_left_as_it_is():
     next_low, next_high = np.where(j > 0, 2 * j, 1), np.where(j > 0, 2 * j + 1, 0)
     triangles = np.concatenate([np.stack([low, next_low, high], axis=1), np.stack([high, next_low, next_high], axis=1)])
     assert not orient_alike(triangles).any()
+
+
+def test_an_island_stays_as_long_as_its_texture_is_larger_than_what_else_would_change():
+    """A label on a sheet with waves that are lower than the label is wide."""
+    heights = 0.02 * np.sin(np.arange(17.0))[:, None] * np.cos(np.arange(17.0))
+    mesh = plane(16, 16, heights)
+    uvs, centers = mesh.corner_uvs.copy(), mesh.vertices[mesh.triangles].mean(axis=1)
+    uvs[(np.abs(centers[:, :2] - 8.5) < 0.5).all(axis=1)] += 5.0
+    level = simplify(build_textured_mesh(TriangleMesh(mesh.vertices, mesh.triangles), uvs), 40)
+    assert (level.corner_uvs > 4.0).any()

@@ -25,7 +25,7 @@ def test_seams_of_normals_stop_the_collapses_until_they_are_unlocked():
     smooth = torus(24, 12, 1)
     _, normals = face_areas_and_normals(smooth.vertices[smooth.triangles])
     base = TriangleMesh(smooth.vertices, smooth.triangles)
-    mesh = build_textured_mesh(base, smooth.corner_uvs, np.repeat(normals[:, None], 3, axis=1))
+    mesh = build_textured_mesh(base, smooth.corner_uvs, np.repeat(normals[:, None], 3, axis=1), has_normals=True)
     strict = coarsest(mesh, 100, drastic=False)
     assert len(strict.triangles) == len(mesh.triangles)
     assert strict.constraint.startswith("576 triangles remain instead of 100, because of 288 vertices these stay: 288 at corners")
@@ -61,7 +61,7 @@ def test_a_level_does_not_consist_of_locked_vertices():
     corners = smooth.vertices[smooth.triangles]
     normals = face_areas_and_normals(corners)[1] * (corners[..., 0].mean(axis=1) < 0.0)[:, None]
     base = TriangleMesh(smooth.vertices, smooth.triangles)
-    mesh = build_textured_mesh(base, smooth.corner_uvs, np.repeat(normals[:, None], 3, axis=1))
+    mesh = build_textured_mesh(base, smooth.corner_uvs, np.repeat(normals[:, None], 3, axis=1), has_normals=True)
     level = coarsest(mesh, 200, drastic=True)
     assert level.constraint == ""
     assert 0.3 < (mesh.vertices[np.unique(level.triangles), 0] < 0.0).mean() < 0.7

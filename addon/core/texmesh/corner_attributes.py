@@ -127,7 +127,7 @@ class CornerAttributes:
     @cached_property
     def _groups(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The group (W,) of each wedge, where the wedges of each group begin (G + 1,), and the wedges (W,) by group."""
-        groups = group_by_texture(self.fine)
+        groups = group_by_texture(self.fine, has_colors=True)
         count = int(groups.max()) + 1
         return groups, np.concatenate([[0], np.cumsum(np.bincount(groups, minlength=count))]), counting_argsort(groups, count)
 

@@ -46,6 +46,11 @@ class TexturedMesh:
         """(T, 3, 2) float64 texture coordinates of the corners."""
         return self.uvs[self.wedge_triangles]
 
+    @property
+    def colors(self) -> np.ndarray:
+        """(W, A') float32, the attributes but normals."""
+        return self.attributes[:, 3 if self.has_normals else 0 :]
+
     def find_seams(self, edges: Edges) -> np.ndarray:
         """Return which of the `edges` of `triangles` are seams, (E,) bool. Boundaries are not."""
         is_seam = np.zeros(len(edges.ends), bool)
@@ -101,25 +106,27 @@ def build_textured_mesh(
     )
 
 
-def group_by_texture(mesh: TexturedMesh) -> np.ndarray:
-    """Return the groups (W,) int32 of wedges of a vertex with the same material and texture coordinates."""
+def group_by_texture(mesh: TexturedMesh, has_colors: bool = False) -> np.ndarray:
+    """Return the groups (W,) int32 of wedges of a vertex with the same material and texture coordinates.
+
+    has_colors: whether wedges of a group have the same attributes but normals, too.
+    """
     materials = np.zeros(len(mesh.uvs))
     materials[mesh.wedge_triangles.reshape(-1)] = np.repeat(mesh.materials, 3)
-    keys = np.concatenate([mesh.wedge_vertices[:, None], materials[:, None], mesh.uvs], axis=1)
-    return np.unique(keys + 0.0, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int32)  # + 0.0 makes -0.0 equal to 0.0
+    keys = [mesh.wedge_vertices[:, None], materials[:, None], mesh.uvs, *([mesh.colors] if has_colors else [])]
+    return np.unique(np.concatenate(keys, axis=1) + 0.0, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int32)
 
 
 def merge_wedges(mesh: TexturedMesh) -> TexturedMesh:
-    """Return `mesh` without attributes, in which wedges of a vertex with the same material and texture coordinates are one, so that only
-    seams of the texture are seams."""
-    groups = group_by_texture(mesh)
+    """Return `mesh` without normals, in which wedges of a vertex that differ by normals only are one, so that hard edges are no seams."""
+    groups = group_by_texture(mesh, has_colors=True)
     _, examples = np.unique(groups, return_index=True)
     return replace(
         mesh,
         wedge_triangles=groups[mesh.wedge_triangles],
         wedge_vertices=mesh.wedge_vertices[examples],
         uvs=mesh.uvs[examples],
-        attributes=np.zeros((len(examples), 0), np.float32),
+        attributes=mesh.colors[examples],
         has_normals=False,
     )
 

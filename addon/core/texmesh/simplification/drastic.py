@@ -96,6 +96,8 @@ class DrasticSteps:
     def _unlock_attributes(self, size: float) -> bool:
         """Keep only seams of texture coordinates and materials."""
         engine = self._engine
+        if engine.crosses_seams:
+            return False
         before = engine.topology.is_removable
         groups = group_by_texture(engine.mesh)
         if np.array_equal(engine.groups, groups) or len(np.unique(groups)) == len(groups):

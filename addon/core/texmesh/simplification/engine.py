@@ -13,7 +13,7 @@ import numpy as np
 from ...arrays import TINY, concatenate_ranges
 from ...geometry.collapses import select_independent
 from ...geometry.mesh import vertex_normals
-from ..textured_mesh import TexturedMesh, group_by_texture
+from ..textured_mesh import TexturedMesh
 from .collapse_fans import (
     FOLD,
     SHORT_CURVE,
@@ -158,7 +158,7 @@ class CollapseEngine:
         self.is_locked = np.zeros_like(divided.is_touching) if crosses_seams else divided.is_touching
         self.triangles, self.wedges = (np.ascontiguousarray(array.T) for array in (mesh.triangles, mesh.wedge_triangles))
         self.materials, self.is_reversed = mesh.materials.copy(), divided.is_reversed
-        self.groups = group_by_texture(mesh) if crosses_seams else np.arange(len(mesh.uvs), dtype=np.int32)
+        self.groups = np.arange(len(mesh.uvs), dtype=np.int32)
         self.islands = find_islands(mesh)
         self.orientations = find_orientations(mesh.corner_uvs, self.islands)
         vectors = (mesh.vertices, vertex_normals(mesh.vertices, mesh.triangles), mesh.uvs)

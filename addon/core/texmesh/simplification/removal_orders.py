@@ -15,7 +15,7 @@ from ...geometry.mesh import longest_side, scaled_normals
 from ...geometry.transforms import signed_areas
 from ..textured_mesh import TexturedMesh
 from .engine import CollapseEngine, WedgeMoves
-from .topology import BOUNDARY, Collapses, build_topology, find_islands
+from .topology import BOUNDARY, Collapses, Topology, build_topology, find_islands
 from .wedge_quadrics import COLUMNS, ROWS, WedgeQuadrics
 
 TIED_FRACTION = 0.01  # Perceptual values break ties if more than this fraction of the priorities are equal to others.
@@ -23,7 +23,7 @@ WEIGHT_PER_SCALE = 1.15  # factor of the cost of a vertex per scale at which it 
 MAX_COST_RATIO = 1e3  # A round has no collapse that costs this many times more than its cheapest one.
 CHUNK_SIZE = 1 << 14  # triangles
 MAX_SCALE_RATIO = 4.0  # between the UV scales of a triangle and of its island
-BOUNDARY_WEIGHT = 0.5  # Weight of a squared distance from an edge of a boundary, times its squared length.
+BOUNDARY_WEIGHT = 0.5  # Weight of a squared distance from an edge of a boundary, or of a border of colors, times its squared length.
 SEAM_WEIGHT = 0.02  # likewise of a seam. The texture beyond it is there in the neighboring island, so that more only costs accuracy
 LENGTH_WEIGHT = 1e-6  # Weight of the squared length of a collapse, which decides where the surface and its texture coordinates are flat.
 
@@ -150,7 +150,7 @@ class TextureQuadrics(WedgeQuadrics):
         wedges = np.ascontiguousarray(mesh.wedge_triangles.T)
         topology = build_topology(triangles, wedges, np.arange(len(points)), np.zeros(len(mesh.vertices), bool))
         curve_weights = np.where(topology.is_curve, SEAM_WEIGHT, 0.0)
-        curve_weights[topology.twins == BOUNDARY] = BOUNDARY_WEIGHT
+        curve_weights[(topology.twins == BOUNDARY) | _find_color_borders(mesh, topology)] = BOUNDARY_WEIGHT
         curve_weights = curve_weights.reshape(3, -1)
         for start in range(0, len(mesh.triangles), CHUNK_SIZE):
             rows = slice(start, start + CHUNK_SIZE)
@@ -191,6 +191,18 @@ class TextureQuadrics(WedgeQuadrics):
             curve_terms = distances[:, ROWS] * distances[:, COLUMNS] * weights[:, None]
             np.add.at(self._quadrics, wedges[rows, corner], curve_terms)
             np.add.at(self._quadrics, wedges[rows, (corner + 1) % 3], curve_terms)
+
+
+def _find_color_borders(mesh: TexturedMesh, topology: Topology) -> np.ndarray:
+    """Return which halfedges (3 T,) bool are seams between materials or vertex colors."""
+    halfedges = np.flatnonzero(topology.is_curve & (topology.twins >= 0))
+    twins = topology.twins[halfedges]
+    is_border = mesh.materials[halfedges % topology.triangle_count] != mesh.materials[twins % topology.triangle_count]
+    for own, other in ((halfedges, topology.next(twins)), (topology.next(halfedges), twins)):
+        is_border |= (mesh.colors[topology.wedges[own]] != mesh.colors[topology.wedges[other]]).any(axis=1)
+    found = np.zeros(len(topology.twins), bool)
+    found[halfedges[is_border]] = True
+    return found
 
 
 def _find_uv_scales(mesh: TexturedMesh, unit: float) -> tuple[np.ndarray, float]:
