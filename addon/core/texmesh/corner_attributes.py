@@ -23,7 +23,7 @@ from .refitting.outliers import FineSurface
 from .textured_mesh import TexturedMesh, group_by_texture
 
 SAMPLES_PER_TRIANGLE, MIN_SAMPLES, MAX_SAMPLES = 8, 8_000, 200_000
-STABILITY = 0.1  # Weight of the values at the vertices, relative to that of the samples of a triangle.
+STABILITY = 0.02  # Weight of the values at the vertices, relative to that of the samples of a triangle.
 MIN_FACING_COSINE = 0.2  # between the faces of a sample and of its corresponding point, which may be on the other side of a thin sheet
 MIN_SMOOTH_COSINE = np.cos(np.radians(10.0))  # between normals of corners that become one
 MAX_STEP = 0.1  # between other values of corners that become one
