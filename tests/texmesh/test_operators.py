@@ -134,11 +134,12 @@ def test_meshes_without_texture_have_levels_by_shape(ball, prepare, capsys):
     assert expected in capsys.readouterr().out
 
 
-def test_nothing_that_can_be_simplified_is_refused():
-    bpy.ops.mesh.primitive_plane_add()
-    with pytest.raises(RuntimeError, match='"Plane" has only 2 triangles; levels need at least 8'):
-        bpy.ops.farfield.texmesh_levels(**SMALL)
-    assert not level_sets_in(bpy.context.scene) and not bpy.context.object.hide_render
+def test_small_objects_stay_as_they_are(capsys):
+    bpy.ops.mesh.primitive_cube_add()
+    bpy.ops.farfield.texmesh_levels(**SMALL | {"vertices": "optimized"})
+    (levels,) = level_sets_in(bpy.context.scene)
+    assert len(levels.levels) == 1 and len(levels.levels[0].data.polygons) == 12
+    assert '"Cube" has only 12 triangles and stays as it is.' in capsys.readouterr().out
 
 
 def test_presets_set_all_research_controls_and_no_others():

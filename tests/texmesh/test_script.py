@@ -288,10 +288,10 @@ def test_invalid_input_is_one_sentence_and_leaves_nothing(ball, flags, error_typ
     assert {path: path.stat().st_size for path in ball.parent.rglob("*")} == before
 
 
-def test_nothing_to_simplify(folder):
+def test_a_file_of_small_objects_stays_as_it_is(folder):
     bpy.ops.mesh.primitive_plane_add()
-    with pytest.raises(GeometryError, match='"Plane" has only 2 triangles'):
-        make(save(folder))
+    (figures,) = make(save(folder))[1]["objects"]
+    assert [level["triangles"] for level in figures["levels"]] == [2]
 
 
 def test_the_exit_code_of_invalid_input(tmp_path):

@@ -20,6 +20,7 @@ from .simplification.removal_orders import ScaleWeightedQuadrics
 from .textured_mesh import TexturedMesh, merge_wedges
 
 MIN_TRIANGLES = 8  # With fewer triangles there is nothing to simplify. The coarsest candidate has at least half of them.
+SMALL_TRIANGLES = 24  # Optimized meshes with fewer triangles, such as boxes, stay as they are: hardly anything could be saved.
 STEP = 0.5  # Each candidate has this fraction of the triangles of the one before it.
 MIN_FRACTION, FEW_TRIANGLES = 0.01, 64  # The coarsest candidate has this fraction of the triangles, or so many if that is less.
 MAX_RATIOS = 32
@@ -69,6 +70,11 @@ class Candidates:
         return Collapses(removed, kept, values, np.searchsorted(counts, np.arange(len(removed)), side="right"))
 
 
+def min_triangles(settings: TexmeshSettings) -> int:
+    """Return how many triangles a mesh needs to be simplified."""
+    return SMALL_TRIANGLES if settings.vertices == "optimized" else MIN_TRIANGLES
+
+
 def make_candidates(mesh: TexturedMesh, scale_map: ScaleMap, ratios: Sequence[float], settings: TexmeshSettings) -> Steps[Candidates]:
     """Simplify a mesh to candidates for levels, each coarser than the one before it.
 
@@ -78,7 +84,7 @@ def make_candidates(mesh: TexturedMesh, scale_map: ScaleMap, ratios: Sequence[fl
         SettingsError: see `targets_of_ratios`.
     """
     wanted = settings.number - 1 if settings.levels == "number" else 0
-    if len(mesh.triangles) < MIN_TRIANGLES:
+    if len(mesh.triangles) < min_triangles(settings):
         targets, scales = [], []
     else:
         targets, scales = targets_of_ratios(mesh, scale_map, ratios) if ratios else choose_targets(mesh, scale_map, wanted)

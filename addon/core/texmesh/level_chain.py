@@ -86,7 +86,7 @@ def make_levels(
     settings: TexmeshSettings,
     scale_map: ScaleMap | None = None,
 ) -> Steps[LevelChain]:
-    """Make levels of `mesh`. With fewer than MIN_TRIANGLES triangles it is the only one.
+    """Make levels of `mesh`. With fewer than `min_triangles` it is the only one.
 
     Args:
         textures: per material an image (H, W, 3) float32, scene-linear, row 0 at the bottom, or None. scale_map: of an analysis of the same

@@ -62,7 +62,7 @@ class PackageJob:
         """Return the message for the user."""
         yield Progress(1.0, "Exported")
         sentences = [report.describe() for report in core_result]
-        sentences += [sentence for source in self.sources for sentence in (describe_small(source), *source.remarks)]
+        sentences += [sentence for source in self.sources for sentence in (describe_small(source, self.settings), *source.remarks)]
         return join_sentences([*sentences, *describe_skipped(self.skipped)])
 
 

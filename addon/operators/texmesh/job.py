@@ -23,7 +23,7 @@ from ...core.texmesh.scale_space.analysis import analyze_scale_space
 from ...core.texmesh.scale_space.features import ScaleMap
 from ...core.texmesh.settings import AnalysisSettings, SceneSettings, TexmeshSettings
 from .rebaking import create_images, read_textures, rebake_chain
-from .sources import check_sizes, describe_small, read_sources
+from .sources import describe_small, read_sources
 
 MAX_LISTED = 3  # The levels of more objects are counted together in the result.
 REBAKE_FRACTION = 0.3  # This part of the progress of an object is rebaking.
@@ -170,7 +170,7 @@ def _count_triangles(sources: Sequence[TexturedSource], chains: Sequence[LevelCh
     for source, chain in zip(sources, chains, strict=True):
         counts = ", ".join(f"{len(level.mesh.triangles):,}" for level in chain.levels)
         has_levels = f'"{source.name}" has {format_count(len(chain.levels), "level")} with {counts} triangles.'
-        sentences += [describe_small(source) or has_levels, *(level.constraint for level in chain.levels)]
+        sentences += [describe_small(source, settings) or has_levels, *(level.constraint for level in chain.levels)]
         if settings.levels == "number" and len(chain.levels) < settings.number:
             sentences.append(f'"{source.name}" has fewer than {settings.number} levels, since there are no more with different triangles.')
     return sentences
@@ -210,7 +210,6 @@ def prepare_levels(
 ) -> LevelsJob:
     """Return the job that makes levels of `objects`. Raises FarfieldError if none can be read."""
     sources, skipped = read_sources(context, objects)
-    check_sizes(sources)
     textures = read_textures(sources, settings)
     return LevelsJob(sources, settings, scene_settings, context.scene.session_uid, skipped, textures)
 

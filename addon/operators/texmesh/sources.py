@@ -11,7 +11,8 @@ from ...bridge.texmesh.level_sets import find_level_set
 from ...bridge.texmesh.sources import read_textured_source
 from ...core.errors import FarfieldError, GeometryError
 from ...core.messages import format_count
-from ...core.texmesh.level_candidates import MIN_TRIANGLES
+from ...core.texmesh.level_candidates import MIN_TRIANGLES, min_triangles
+from ...core.texmesh.settings import TexmeshSettings
 from ...core.texmesh.textured_mesh import TexturedMesh
 
 Source = TypeVar("Source")
@@ -83,7 +84,7 @@ def check_sizes(sources: Sequence[MeshSource]) -> None:
         raise GeometryError(f'"{source.name}" has only {count}; levels need at least {MIN_TRIANGLES}.')
 
 
-def describe_small(source: MeshSource) -> str:
+def describe_small(source: MeshSource, settings: TexmeshSettings) -> str:
     """Return a sentence about a mesh that is its only level, "" for others."""
     count = len(source.mesh.triangles)
-    return f'"{source.name}" has only {format_count(count, "triangle")} and stays as it is.' if count < MIN_TRIANGLES else ""
+    return f'"{source.name}" has only {format_count(count, "triangle")} and stays as it is.' if count < min_triangles(settings) else ""
