@@ -71,13 +71,14 @@ def check_messages(code: int, stdout: str, stderr: str, interrupted: bool) -> li
 
 
 def check_files(code: int, before: State, after: State, outputs: list[str], ignored: str | None) -> list[Problem]:
-    """Compare the folder of a case before and after the run. `ignored` is the relative path of a folder that may change.
+    """Compare the folder of a case before and after the run. `ignored` is the relative path of a folder that may change,
+    or be made with the folders that contain it.
 
     A cancelled run may have written some of its `outputs`; `check_written` tells whether they are complete.
     """
 
     def is_ignored(name: str) -> bool:
-        return ignored is not None and (name == ignored or name.startswith(ignored + "/"))
+        return ignored is not None and (name == ignored or name.startswith(ignored + "/") or ignored.startswith(name + "/"))
 
     problems = [
         Problem("left behind", name)
