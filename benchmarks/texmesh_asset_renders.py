@@ -52,6 +52,7 @@ class Views:
     def __init__(self, studio: Studio, objects: Sequence[bpy.types.Object], assets: Sequence[Asset]) -> None:
         self._studio, self._objects, self._assets = studio, objects, assets
         self._points = find_points(assets)
+        self._nothing = studio.work.own(bpy.data.meshes.new("nothing"))  # shown where a method fails
 
     def render_all(self, method: str, ratio: float) -> list[np.ndarray]:
         """Return the images (SIZE, SIZE, 4) of all views with all lights."""
@@ -65,7 +66,7 @@ class Views:
 
     def _show(self, method: str, ratio: float) -> None:
         for asset in self._assets:
-            mesh = asset.mesh if method == "original" else asset.levels.get((method, ratio), asset.mesh)
+            mesh = asset.mesh if method == "original" else asset.levels.get((method, ratio), self._nothing)
             for user in asset.users:
                 user.data = mesh
 
@@ -100,9 +101,11 @@ def measure_flip(originals: Sequence[tuple[Any, np.ndarray]], images: Sequence[t
 
 
 def draw_sheet(name: str, views: Views, rows: dict[str, Any]) -> np.ndarray:
-    """Return the original and the levels of the first view side by side, one row per ratio."""
+    """Return the original and the levels of the first view side by side, one row per ratio; the title has the triangles of all levels."""
     original = views.render("original", 1.0, 0)
     images = [[original, *(views.render(method, ratio, 0) for method in RENDERED)] for ratio in PICTURE_RATIOS]
     encoded = [[np.clip(encode_signed_srgb(_compose(image)), 0.0, 1.0) for image in row] for row in images]
-    labels = [f"{ratio:.0%}: {rows[f'{ratio:.0%}']['target']:,}" for ratio in PICTURE_RATIOS]
-    return draw_contact_sheet(name, encoded, labels, [["original"], *([method] for method in RENDERED)])
+    labels = [f"{ratio:.0%}" for ratio in PICTURE_RATIOS]
+    counts = [[rows[label]["methods"][method].get("triangles", 0) for method in RENDERED] for label in labels]
+    title = "; ".join([name, *(f"{label}: {', '.join(map(str, row))}" for label, row in zip(labels, counts, strict=True))])
+    return draw_contact_sheet(title, encoded, labels, [["original"], *([method] for method in RENDERED)])
