@@ -10,7 +10,7 @@ import pytest
 
 import texmesh
 from farfield.addon.bridge.texmesh.level_sets import level_sets_in
-from farfield.addon.core.errors import FileError, GeometryError, SettingsError
+from farfield.addon.core.errors import FileError, SettingsError
 from glb_reader import read_glb
 from lib import command_line, environment
 from textured_scenes import checker_image, count_triangles, textured_ball, textured_material

@@ -14,11 +14,13 @@ from .scale_attributes import SCALE_ATTRIBUTE, find_vertex_scales
 from .sources import NORMALS, TexturedSource
 
 
-def create_level_mesh(name: str, source: TexturedSource, level: TexturedMesh, scale_map: ScaleMap) -> bpy.types.Mesh:
+def create_level_mesh(name: str, source: TexturedSource, level: TexturedMesh, scale_map: ScaleMap, is_subset: bool) -> bpy.types.Mesh:
     """Create a mesh in the object space of the source, without materials.
 
     Texture coordinates, normals and corner colors are those of the level. SCALE_ATTRIBUTE is that of `scale_map`, the analysis of the
     source. All other attributes are those of the source that `level.sources` refers to: those of faces at the first corner.
+
+    is_subset: whether normals are those of vertices of the source, which are repaired where they do not fit the faces.
     """
     mesh = bpy.data.meshes.new(name)
     write_triangles(mesh, level.vertices + source.origin if source.origin.any() else level.vertices, level.triangles)
@@ -33,7 +35,8 @@ def create_level_mesh(name: str, source: TexturedSource, level: TexturedMesh, sc
         columns = slice(start, start + width)
         start += width
         if attribute == NORMALS:
-            _write_normals(mesh, level, repair_normals(source.mesh, level))
+            normals = repair_normals(source.mesh, level) if is_subset else level.attributes[level.wedge_triangles, columns]
+            _write_normals(mesh, level, normals)
         elif attribute not in mesh.attributes:
             write_attribute(mesh, attribute, "CORNER", level.attributes[:, columns][level.wedge_triangles])
     if not any(attribute == NORMALS for attribute, _ in source.attributes):

@@ -81,7 +81,7 @@ def compare_candidates(candidates: Candidates, mipmaps: Sequence[Mipmaps | None]
 
 def view_levels(levels: Sequence[Candidate], mipmaps: Sequence[Mipmaps | None], settings: TexmeshSettings) -> list[ViewedSurface]:
     """Return levels as renders need them, the original first. mipmaps: of the textures, by material."""
-    original = levels[0].mesh
+    original = levels[0].mesh if settings.vertices == "original" else None
     return [prepare_surface(level.mesh, mipmaps, settings.shaded, original if index else None) for index, level in enumerate(levels)]
 
 

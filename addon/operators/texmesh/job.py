@@ -139,9 +139,10 @@ class LevelsJob:
         if earlier is not None and earlier.is_editable:
             remove_level_set(earlier)
         images = None if rebaked is None else create_images(item.name, materials, textures, rebaked)
+        is_subset = self.settings.vertices == "original"
         new = [
             NewLevel(
-                create_level_mesh(f"{item.name} L{number}", source, level.mesh, chain.scale_map),
+                create_level_mesh(f"{item.name} L{number}", source, level.mesh, chain.scale_map, is_subset),
                 level.pixel_size,
                 self._switch_distance(level.pixel_size),
                 {} if images is None else images.levels[number],
