@@ -40,7 +40,7 @@ class Asset:
         item, users: the object, and all objects that share its mesh.
         mesh: a copy of its evaluated mesh.
         source: what Farfield reads of it, None if it cannot.
-        triangles: their number.
+        triangles: their number, without those that have no area, which Farfield does not count.
         levels: by method and ratio.
         surfaces: of `levels`, in world space, by method and ratio.
         failures: by method and ratio, why there is no level.
@@ -118,7 +118,8 @@ def add_farfield_levels(assets: Sequence[Asset], ratios: Sequence[float]) -> str
     by_name = {asset.item.name: asset for asset in assets}
     job = prepare_levels(bpy.context, [asset.item for asset in assets], settings, SceneSettings(cross_fade=False))
     for source in job.sources:
-        by_name[source.name].source = source
+        asset = by_name[source.name]
+        asset.source, asset.triangles = source, len(source.mesh.triangles)
     try:
         summary = run_to_end(run_job(job))
     except FarfieldError as error:
@@ -171,8 +172,9 @@ def add_peer_levels(asset: Asset, ratios: Sequence[float]) -> None:
         obj = None if asset.source is None else write_source(asset.source.mesh, folder)
         for ratio in ratios:
             count = max(round(ratio * asset.triangles), 1)
-            add_level(asset, "decimate", ratio, decimate(asset.mesh, count / asset.triangles))
-            packed = texmesh_peers.run_gltfpack(glb, folder, count / asset.triangles, import_glb)
+            fraction = count / len(asset.mesh.loop_triangles)
+            add_level(asset, "decimate", ratio, decimate(asset.mesh, fraction))
+            packed = texmesh_peers.run_gltfpack(glb, folder, fraction, import_glb)
             if packed.mesh is None:
                 asset.failures["gltfpack", ratio] = packed.message
             else:
