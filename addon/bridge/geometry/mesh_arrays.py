@@ -13,6 +13,7 @@ VALUE_KEYS = {  # attribute type -> (property that holds the value, its width, i
     "FLOAT_COLOR": ("color", 4, np.float32),
     "BYTE_COLOR": ("color", 4, np.float32),
 }
+MAX_NORMAL_STEP = 1e-3  # Step between normals of two faces at a smooth edge.
 FLOAT_TYPES = {1: "FLOAT", 2: "FLOAT2", 3: "FLOAT_VECTOR", 4: "FLOAT_COLOR"}  # by width
 
 
@@ -92,6 +93,26 @@ def write_geometry(mesh: bpy.types.Mesh, positions: np.ndarray, loop_vertices: n
 def write_triangles(mesh: bpy.types.Mesh, positions: np.ndarray, triangles: np.ndarray) -> None:
     """Replace the geometry of `mesh` by `triangles` (T, 3) of `positions` (V, 3), object space."""
     write_geometry(mesh, positions, triangles, np.arange(0, triangles.size, 3))
+
+
+def write_corner_normals(mesh: bpy.types.Mesh, normals: np.ndarray) -> None:
+    """Write the normals (T, 3, 3) of the corners of a mesh of triangles, and mark the edges where they differ as sharp: Cycles divides
+    vertices only there, and shades other vertices with one of their normals."""
+    write_attribute(mesh, "custom_normal", "CORNER", normals)
+    flat, vertices = normals.reshape(-1, 3), read_loop_vertices(mesh)
+    edges = read_values(mesh.loops, "edge_index", dtype=np.int32)
+    order = np.argsort(edges, kind="stable")
+    first = np.flatnonzero(edges[order][1:] == edges[order][:-1])
+    one, other = order[first], order[first + 1]
+    following = np.arange(len(flat)).reshape(-1, 3)[:, [1, 2, 0]].ravel()
+    is_opposite = vertices[one] != vertices[other]
+    at_start, at_end = np.where(is_opposite, following[other], other), np.where(is_opposite, other, following[other])
+    is_sharp = np.abs(flat[one] - flat[at_start]).max(axis=1) > MAX_NORMAL_STEP
+    is_sharp |= np.abs(flat[following[one]] - flat[at_end]).max(axis=1) > MAX_NORMAL_STEP
+    sharp = np.zeros(len(mesh.edges), bool)
+    sharp[edges[one[is_sharp]]] = True
+    if sharp.any():
+        mesh.attributes.new("sharp_edge", "BOOLEAN", "EDGE").data.foreach_set("value", sharp)
 
 
 def _flatten(values: np.ndarray) -> np.ndarray:

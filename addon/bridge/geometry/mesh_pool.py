@@ -9,7 +9,7 @@ from collections.abc import Hashable
 import bpy
 import numpy as np
 
-from .mesh_arrays import write_attribute, write_triangles
+from .mesh_arrays import write_attribute, write_corner_normals, write_triangles
 
 SPARE_KEY = "farfield_spare_mesh"  # custom property of meshes that are not shown
 MAX_SPARE = 64  # meshes per pool by default
@@ -67,8 +67,10 @@ def fill_mesh(
         return
     if normals is None:
         _write_faces(mesh, "sharp_face", "BOOLEAN", np.ones(len(triangles), bool))  # shade_flat() takes 100 times as long
+    elif normals.ndim == 2:
+        write_attribute(mesh, "custom_normal", "POINT", normals)
     else:
-        write_attribute(mesh, "custom_normal", "POINT" if normals.ndim == 2 else "CORNER", normals)
+        write_corner_normals(mesh, normals)
     if uvs is not None:
         write_attribute(mesh, "UVMap", "CORNER", uvs)
     if material_indices is not None:

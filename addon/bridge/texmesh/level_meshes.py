@@ -9,7 +9,7 @@ from ...core.texmesh.corner_normals import repair_normals
 from ...core.texmesh.scale_space.features import ScaleMap
 from ...core.texmesh.textured_mesh import TexturedMesh
 from ..geometry.evaluated_mesh import EvaluatedMesh, MeshAttribute
-from ..geometry.mesh_arrays import write_attribute, write_triangles
+from ..geometry.mesh_arrays import write_attribute, write_corner_normals, write_triangles
 from .scale_attributes import SCALE_ATTRIBUTE, find_vertex_scales
 from .sources import NORMALS, TexturedSource
 
@@ -71,7 +71,7 @@ def _write_normals(mesh: bpy.types.Mesh, level: TexturedMesh, normals: np.ndarra
         _write_flat(mesh, is_flat)
     if not is_flat.all():
         faces = scaled_normals(level.vertices[level.triangles])
-        write_attribute(mesh, "custom_normal", "CORNER", normalize(np.where(is_flat[:, None, None], faces[:, None], normals)))
+        write_corner_normals(mesh, normalize(np.where(is_flat[:, None, None], faces[:, None], normals)))
 
 
 def _write_flat(mesh: bpy.types.Mesh, is_flat: np.ndarray) -> None:
