@@ -14,13 +14,13 @@ from scipy.sparse.csgraph import connected_components
 
 from ..arrays import TINY, concatenate_ranges
 from ..geometry.edges import find_edges
-from ..geometry.mesh import face_areas_and_normals, scaled_normals
+from ..geometry.mesh import face_areas_and_normals
 from ..geometry.proximity import counting_argsort
 from ..geometry.transforms import normalize
-from .refitting.correspondence import SurfaceSamples, compute_uv_scale, match_islands, sample_surface
-from .refitting.level_state import LevelState, attach
+from .corner_normals import fill_flat, sum_faces
+from .refitting.correspondence import sample_surface
 from .refitting.outliers import FineSurface
-from .textured_mesh import TexturedMesh, group_by_texture
+from .textured_mesh import TexturedMesh, divide_wedges, group_by_texture
 
 SAMPLES_PER_TRIANGLE, MIN_SAMPLES, MAX_SAMPLES = 8, 8_000, 200_000
 STABILITY = 0.02  # Weight of the values at the vertices, relative to that of the samples of a triangle.
@@ -55,11 +55,10 @@ class CornerAttributes:
         )
         if self.fine.has_normals:
             attributes[:, :3] = normalize(attributes[:, :3])
-        pairs, wedges = np.unique(level.wedge_triangles.ravel().astype(np.int64) * count + clusters, return_inverse=True)
-        own, cluster = pairs // count, pairs % count
+        wedge_triangles, own, cluster = divide_wedges(level.wedge_triangles, clusters.reshape(-1, 3), count)
         return replace(
             level,
-            wedge_triangles=wedges.reshape(-1, 3).astype(np.int32),
+            wedge_triangles=wedge_triangles,
             wedge_vertices=level.wedge_vertices[own],
             uvs=level.uvs[own],
             attributes=attributes[cluster].astype(np.float32),
@@ -79,15 +78,11 @@ class CornerAttributes:
         """(T, 3) unit normals of the triangles of the fine mesh."""
         return face_areas_and_normals(self.surface.corners)[1]
 
-    def _sample(self, count: int) -> SurfaceSamples:
-        return sample_surface(self.surface.mesh, self.surface.islands, count, np.random.default_rng(0), triangle_fraction=0.5)
-
     def _fit(self, level: TexturedMesh) -> tuple[np.ndarray, np.ndarray]:
         """Return the values (T, 3, A) of the corners of a level, and how much each counts, (3 T,)."""
-        samples = self._sample(int(np.clip(SAMPLES_PER_TRIANGLE * len(level.triangles), MIN_SAMPLES, MAX_SAMPLES)))
-        fine = self.surface.mesh
-        islands = match_islands(samples, fine.materials[samples.triangles], level, compute_uv_scale(fine))
-        state: LevelState = attach(level, islands, samples, normal_weight=1.0)
+        number = int(np.clip(SAMPLES_PER_TRIANGLE * len(level.triangles), MIN_SAMPLES, MAX_SAMPLES))
+        samples = sample_surface(self.surface.mesh, self.surface.islands, number, np.random.default_rng(0), triangle_fraction=0.5)
+        state = self.surface.attach(level, samples, normal_weight=1.0)
         areas, faces = state.areas_and_normals
         triangles, barycentric, count = state.found.triangles, state.found.barycentric, len(level.triangles)
         is_used = np.einsum("ni,ni->n", self._faces[samples.triangles], faces[triangles]) > MIN_FACING_COSINE
@@ -134,8 +129,7 @@ class CornerAttributes:
     @cached_property
     def _wedge_faces(self) -> np.ndarray:
         """(W, 3) mean normals of the faces of each wedge."""
-        faces, wedges = np.repeat(scaled_normals(self.surface.corners), 3, axis=0), self.fine.wedge_triangles.ravel()
-        return normalize(np.stack([np.bincount(wedges, column, len(self.fine.uvs)) for column in faces.T], axis=1))
+        return sum_faces(self.fine)
 
     @cached_property
     def _source_wedges(self) -> np.ndarray:
@@ -143,13 +137,6 @@ class CornerAttributes:
         wedges = np.zeros(int(self.fine.sources.max()) + 1, np.int32)
         wedges[self.fine.sources] = self.fine.wedge_triangles
         return wedges
-
-
-def fill_flat(values: np.ndarray, faces: np.ndarray) -> None:
-    """Replace normals without length in `values` (T, 3, A) by those of `faces` (T, 3), in place."""
-    normals = values[..., :3]
-    is_flat = (normals == 0.0).all(axis=2)
-    normals[is_flat] = np.broadcast_to(faces[:, None], normals.shape)[is_flat]
 
 
 def _cluster(level: TexturedMesh, values: np.ndarray, has_normals: bool) -> np.ndarray:

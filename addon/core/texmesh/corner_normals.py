@@ -20,7 +20,8 @@ def find_corner_normals(mesh: TexturedMesh, fine: TexturedMesh | None = None) ->
     _, faces = face_areas_and_normals(mesh.vertices[mesh.triangles])
     if mesh.has_normals:
         corners = mesh.attributes[mesh.wedge_triangles, :3] if fine is None else repair_normals(fine, mesh)
-        return np.where((corners == 0.0).all(axis=2, keepdims=True), faces[:, None], corners).astype(np.float32)
+        fill_flat(corners, faces)
+        return corners.astype(np.float32)
     corners = vertex_normals(mesh.vertices, mesh.triangles)[mesh.triangles]
     is_sharp = np.einsum("tci,ti->tc", corners, faces) < MIN_SMOOTH_COSINE
     return np.where(is_sharp[..., None], faces[:, None], corners).astype(np.float32)
@@ -39,13 +40,20 @@ def repair_normals(fine: TexturedMesh, level: TexturedMesh) -> np.ndarray:
     """
     fine_normals, normals = fine.attributes[:, :3], level.attributes[:, :3]
     angles = np.zeros(int(fine.sources.max()) + 1)
-    angles[fine.sources] = _angles_to(_sum_faces(fine), fine_normals)[fine.wedge_triangles]
+    angles[fine.sources] = _angles_to(sum_faces(fine), fine_normals)[fine.wedge_triangles]
     around = vertex_normals(level.vertices, level.triangles)[level.wedge_vertices]
-    turned = np.minimum(_angles_to(_sum_faces(level), normals), _angles_to(around, normals))
+    turned = np.minimum(_angles_to(sum_faces(level), normals), _angles_to(around, normals))
     is_wrong = turned[level.wedge_triangles] > angles[level.sources] + MAX_TURN
     result = normals[level.wedge_triangles]
     result[is_wrong] = _smooth_by_angle(level, np.flatnonzero(is_wrong))
     return result
+
+
+def fill_flat(values: np.ndarray, faces: np.ndarray) -> None:
+    """Replace normals without length, the first columns of `values` (T, 3, A), by those of `faces` (T, 3), in place."""
+    normals = values[..., :3]
+    is_flat = (normals == 0.0).all(axis=2)
+    normals[is_flat] = np.broadcast_to(faces[:, None], normals.shape)[is_flat]
 
 
 def _smooth_by_angle(mesh: TexturedMesh, corners: np.ndarray) -> np.ndarray:
@@ -61,7 +69,7 @@ def _smooth_by_angle(mesh: TexturedMesh, corners: np.ndarray) -> np.ndarray:
     return normalize(np.stack(sums, axis=1)).astype(np.float32)
 
 
-def _sum_faces(mesh: TexturedMesh) -> np.ndarray:
+def sum_faces(mesh: TexturedMesh) -> np.ndarray:
     """Return the mean normals (W, 3) of the faces of wedges, unit vectors."""
     faces, wedges = np.repeat(scaled_normals(mesh.vertices[mesh.triangles]), 3, axis=0), mesh.wedge_triangles.ravel()
     return normalize(np.stack([np.bincount(wedges, column, len(mesh.uvs)) for column in faces.T], axis=1))

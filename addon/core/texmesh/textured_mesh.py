@@ -1,5 +1,6 @@
 """Triangle meshes whose corners have texture coordinates and other attributes, divided into wedges."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -115,6 +116,25 @@ def group_by_texture(mesh: TexturedMesh, has_colors: bool = False) -> np.ndarray
     materials[mesh.wedge_triangles.reshape(-1)] = np.repeat(mesh.materials, 3)
     keys = [mesh.wedge_vertices[:, None], materials[:, None], mesh.uvs, *([mesh.colors] if has_colors else [])]
     return np.unique(np.concatenate(keys, axis=1) + 0.0, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int32)
+
+
+def divide_wedges(wedge_triangles: np.ndarray, parts: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Divide wedges whose corners belong to several of `count` parts, such as vertices.
+
+    Args:
+        wedge_triangles, parts: (T, 3), the wedge and the part of each corner.
+
+    Returns:
+        The new wedges (T, 3) int32 of the corners; the wedge (W,) before and the part (W,) of each.
+    """
+    pairs, wedges = np.unique(wedge_triangles.astype(np.int64) * count + parts, return_inverse=True)
+    return wedges.reshape(-1, 3).astype(np.int32), pairs // count, pairs % count
+
+
+def reverse_triangles(is_reversed: np.ndarray, columns: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Return arrays (T, 3) of corners in which the triangles that `is_reversed` (T,) bool names have the opposite orientation."""
+    corners = np.where(is_reversed[:, None], [0, 2, 1], [0, 1, 2])
+    return [np.take_along_axis(column, corners, axis=1) for column in columns]
 
 
 def merge_wedges(mesh: TexturedMesh) -> TexturedMesh:

@@ -11,8 +11,7 @@ import numpy as np
 from ...geometry.distance import TriangleTree
 from ...geometry.mesh import longest_side
 from ..textured_mesh import TexturedMesh
-from .correspondence import SurfaceSamples, compute_uv_scale, match_islands, sample_surface
-from .level_state import attach
+from .correspondence import SurfaceSamples, sample_surface
 from .outliers import FineSurface, gather_points
 
 SAMPLES = 20_000  # Points of the fine mesh.
@@ -39,9 +38,8 @@ class LevelComparison:
     def measure(self, level: TexturedMesh) -> np.ndarray:
         """Return the largest distance between the surfaces, from both sides, and the distance of points with equal texture coordinates that
         one in a hundred exceeds, (2,) float64."""
-        samples, fine = self._samples, self.surface.mesh
-        islands = match_islands(samples, fine.materials[samples.triangles], level, compute_uv_scale(fine))
-        state = attach(level, islands, samples, normal_weight=1.0)
+        samples = self._samples
+        state = self.surface.attach(level, samples, normal_weight=1.0)
         from_level = self.surface.measure_distances(gather_points(level.vertices, state.edges)).max()
         from_fine = TriangleTree(state.corners).find_closest(samples.positions)[0].max()
         return np.array([max(from_level, from_fine), np.quantile(np.linalg.norm(state.residuals, axis=1), QUANTILE)])

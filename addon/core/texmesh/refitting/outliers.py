@@ -16,8 +16,16 @@ from ...geometry.distance import TriangleTree, closest_barycentric, squared_poin
 from ...geometry.edges import Edges
 from ...geometry.mesh import face_areas_and_normals, longest_side
 from ..textured_mesh import TexturedMesh
-from .correspondence import Correspondence, SurfaceSamples, UvTriangles, find_in_triangles, find_textured_islands
-from .level_state import LevelState
+from .correspondence import (
+    Correspondence,
+    SurfaceSamples,
+    UvTriangles,
+    compute_uv_scale,
+    find_in_triangles,
+    find_textured_islands,
+    match_islands,
+)
+from .level_state import LevelState, attach
 
 LIMIT_FACTOR = 4.5  # Points farther than this multiple of the root mean squared distance are outliers.
 MIN_LIMIT = 1e-9  # Relative to the size of the level; smaller distances are rounding.
@@ -38,6 +46,16 @@ class FineSurface:
     def of(cls, mesh: TexturedMesh) -> Self:
         """Return the surface of a mesh."""
         return cls(mesh, find_textured_islands(mesh))
+
+    @cached_property
+    def uv_scale(self) -> float:
+        """See `compute_uv_scale`."""
+        return compute_uv_scale(self.mesh)
+
+    def attach(self, level: TexturedMesh, samples: SurfaceSamples, normal_weight: float) -> LevelState:
+        """Return the state of a level with corresponding points for all `samples` of the surface."""
+        islands = match_islands(samples, self.mesh.materials[samples.triangles], level, self.uv_scale)
+        return attach(level, islands, samples, normal_weight)
 
     def find_closest(self, points: np.ndarray, enough: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Return the distances (N,) of `points` (N, 3) from the surface, and the nearest triangles (N,). Distances up to `enough`, one or

@@ -15,12 +15,12 @@ from ..settings import TexmeshSettings
 from ..simplification.levels import SubsetLevel, extract_level, simplify_by_cost
 from ..textured_mesh import TexturedMesh
 from .border_curves import BorderCurves, Freedom, find_border_curves, find_freedom, move_uvs
-from .correspondence import compute_uv_scale, match_islands, sample_surface
+from .correspondence import sample_surface
 from .deviation_quadrics import DeviationQuadrics
 from .edge_flips import flip_edges
 from .edge_splits import split_edges, split_far_edges
 from .least_squares import Linearization, compute_moments
-from .level_state import LevelState, attach
+from .level_state import LevelState
 from .outlier_repair import approach, avoid_folds, flip_outliers, pull_back
 from .outliers import FineSurface, measure_distances
 
@@ -88,10 +88,9 @@ def refit(
     yield Progress(0.0, "Refitting")
     count = int(np.clip(TUNING.samples_per_triangle * max(len(level.triangles), target), TUNING.min_samples, TUNING.max_samples))
     surface = FineSurface.of(fine) if surface is None else surface
-    islands, uv_scale = surface.islands, compute_uv_scale(fine)
+    islands, uv_scale = surface.islands, surface.uv_scale
     samples = sample_surface(fine, islands, count, np.random.default_rng(0), TUNING.triangle_fraction)
-    level_islands = match_islands(samples, fine.materials[samples.triangles], level, uv_scale)
-    start = state = attach(level, level_islands, samples, TUNING.normal_weight)
+    start = state = surface.attach(level, samples, TUNING.normal_weight)
     curves = find_border_curves(fine, islands)
     iterations = min(iterations, max(TUNING.max_sampled // count, TUNING.min_iterations))
     reserve = round(TUNING.late_split_fraction * TUNING.split_fraction * target)

@@ -179,12 +179,11 @@ class Relaxation:
     """What is allowed in drastic simplification.
 
     small_size: length of the longest edge up to which a triangle may fold over. drops_islands: whether the last triangle of an island may
-    vanish between two others. crosses_seams: whether collapses may change seams in any way.
+    vanish between two others.
     """
 
     small_size: float = 0.0
     drops_islands: bool = False
-    crosses_seams: bool = False
 
 
 def find_refusals(fans: CollapseFans, surface: Surface, orientations: np.ndarray, relaxation: Relaxation) -> np.ndarray:
@@ -196,7 +195,7 @@ def find_refusals(fans: CollapseFans, surface: Surface, orientations: np.ndarray
     reasons = np.zeros(len(fans.collapses.removed), np.uint8)
     reasons[_folds(fans, surface, relaxation)] = FOLD
     reasons[_flips(fans, surface, orientations)] = FLIP
-    if not relaxation.crosses_seams:
+    if not fans.topology.crosses_seams:
         reasons[_shortens_curve(fans, relaxation)] = SHORT_CURVE
     reasons[_breaks_topology(fans)] = TOPOLOGY
     return reasons

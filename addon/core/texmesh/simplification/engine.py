@@ -163,7 +163,7 @@ class CollapseEngine:
         self.orientations = find_orientations(mesh.corner_uvs, self.islands)
         vectors = (mesh.vertices, vertex_normals(mesh.vertices, mesh.triangles), mesh.uvs)
         self.surface = Surface(*(np.ascontiguousarray(values.T) for values in vectors))
-        self._strictest = self.relaxation = Relaxation(crosses_seams=crosses_seams)
+        self.relaxation = Relaxation()
         self.perceptual = PerceptualValues(mesh.vertices)
         self.reasons = np.zeros(len(mesh.vertices), np.uint8)
         self.removed, self.kept, self.values = [], [], []
@@ -295,8 +295,8 @@ class CollapseEngine:
 
     def _perform(self, fans: CollapseFans, order: RemovalOrder) -> None:
         collapses = fans.collapses
-        if self.relaxation != self._strictest:
-            strict_reasons = find_refusals(fans, self.surface, self.orientations, self._strictest)
+        if self.relaxation != Relaxation():
+            strict_reasons = find_refusals(fans, self.surface, self.orientations, Relaxation())
             self.folded_count += np.count_nonzero(strict_reasons == FOLD)
             self.dropped_island_count += np.count_nonzero(strict_reasons == SHORT_CURVE)
         order.apply(self, collapses)

@@ -13,7 +13,7 @@ import numpy as np
 from ...errors import SettingsError
 from ...jobs.progress import Progress, Steps
 from ..settings import TexmeshSettings
-from ..textured_mesh import TexturedMesh
+from ..textured_mesh import TexturedMesh, divide_wedges, reverse_triangles
 from .collapse_fans import FLIP, FOLD, SHORT_CURVE, TOPOLOGY, VALID
 from .drastic import DrasticSteps
 from .engine import CollapseEngine, RemovalOrder
@@ -107,20 +107,17 @@ def simplify_by_cost(
 
 
 def extract_level(mesh: TexturedMesh, level: SubsetLevel) -> TexturedMesh:
-    """Return `level` of `mesh` as a mesh of its own, without unused vertices and wedges."""
+    """Return `level` of `mesh` as a mesh of its own, without unused vertices and wedges; wedges may have moved to several vertices."""
     used_vertices, triangles = np.unique(level.triangles, return_inverse=True)
-    keys = level.wedge_triangles.astype(np.int64) * len(used_vertices) + triangles.reshape(
-        -1, 3
-    )  # A wedge may have moved to other vertices.
-    used_keys, wedge_triangles = np.unique(keys, return_inverse=True)
-    used_wedges = used_keys // len(used_vertices)
+    triangles = triangles.reshape(-1, 3).astype(np.int32)
+    wedge_triangles, used_wedges, wedge_vertices = divide_wedges(level.wedge_triangles, triangles, len(used_vertices))
     sources = np.zeros(len(mesh.uvs), np.int32)
     sources[mesh.wedge_triangles.reshape(-1)] = mesh.sources.reshape(-1)
     return TexturedMesh(
         vertices=mesh.vertices[used_vertices],
-        triangles=triangles.reshape(-1, 3).astype(np.int32),
-        wedge_triangles=wedge_triangles.reshape(-1, 3).astype(np.int32),
-        wedge_vertices=(used_keys % len(used_vertices)).astype(np.int32),
+        triangles=triangles,
+        wedge_triangles=wedge_triangles,
+        wedge_vertices=wedge_vertices.astype(np.int32),
         uvs=mesh.uvs[used_wedges],
         attributes=mesh.attributes[used_wedges],
         materials=level.materials,
@@ -156,10 +153,10 @@ def _make_levels(engine: CollapseEngine, order: RemovalOrder, targets: list[int]
 def _take_level(engine: CollapseEngine, drastic: DrasticSteps, target: int) -> SubsetLevel:
     """Return the current triangles as a level."""
     is_reached = engine.triangle_count <= (1.0 + TOLERANCE) * target
-    corners = np.where(engine.is_reversed[:, None], [0, 2, 1], [0, 1, 2])
+    triangles, wedge_triangles = reverse_triangles(engine.is_reversed, (engine.triangles.T, engine.wedges.T))
     return SubsetLevel(
-        triangles=engine.fine_vertices[np.take_along_axis(engine.triangles.T, corners, axis=1)],
-        wedge_triangles=engine.fine_wedges[np.take_along_axis(engine.wedges.T, corners, axis=1)],
+        triangles=engine.fine_vertices[triangles],
+        wedge_triangles=engine.fine_wedges[wedge_triangles],
         materials=engine.materials.copy(),
         collapse_count=sum(map(len, engine.removed)),
         constraint="" if is_reached else name_constraint(engine, target),

@@ -17,7 +17,7 @@ from ...geometry.edges import find_edges
 from ...geometry.mesh import face_areas_and_normals
 from ...geometry.proximity import argsort_pairs, counting_argsort, encode_pairs
 from ...geometry.vertex_rings import VertexRings, build_rings
-from ..textured_mesh import TexturedMesh
+from ..textured_mesh import TexturedMesh, divide_wedges, reverse_triangles
 
 BOUNDARY, AMBIGUOUS = -1, -2  # in place of a twin
 PAIRING_PASSES = 3
@@ -320,9 +320,7 @@ def divide_into_surfaces(mesh: TexturedMesh) -> DividedMesh:
     that have the same wedges there, or else continue each other with the smallest angle."""
     is_reversed = orient_alike(mesh.triangles)
     if is_reversed.any():
-        corners = np.where(is_reversed[:, None], [0, 2, 1], [0, 1, 2])
-        columns = (mesh.triangles, mesh.wedge_triangles, mesh.sources)
-        triangles, wedge_triangles, sources = (np.take_along_axis(column, corners, axis=1) for column in columns)
+        triangles, wedge_triangles, sources = reverse_triangles(is_reversed, (mesh.triangles, mesh.wedge_triangles, mesh.sources))
         mesh = replace(mesh, triangles=triangles, wedge_triangles=wedge_triangles, sources=sources)
     starts, ends = mesh.triangles.reshape(-1), np.roll(mesh.triangles, -1, axis=1).reshape(-1)
     keys = encode_pairs(starts, ends, len(mesh.vertices))
@@ -347,19 +345,18 @@ def divide_into_surfaces(mesh: TexturedMesh) -> DividedMesh:
     labels = connected_components(graph, directed=False)[1]
     _, examples, triangles = np.unique(labels, return_index=True, return_inverse=True)
     sources = starts[examples].astype(np.int32)
-    keys = mesh.wedge_triangles.reshape(-1).astype(np.int64) * len(sources) + triangles.reshape(-1)
-    pairs, wedges = np.unique(keys, return_inverse=True)
-    fine_wedges = (pairs // len(sources)).astype(np.int32)
+    triangles = triangles.reshape(-1, 3).astype(np.int32)
+    wedge_triangles, fine_wedges, wedge_vertices = divide_wedges(mesh.wedge_triangles, triangles, len(sources))
     divided = replace(
         mesh,
         vertices=mesh.vertices[sources],
-        triangles=triangles.reshape(-1, 3).astype(np.int32),
-        wedge_triangles=wedges.reshape(-1, 3).astype(np.int32),
-        wedge_vertices=(pairs % len(sources)).astype(np.int32),
+        triangles=triangles,
+        wedge_triangles=wedge_triangles,
+        wedge_vertices=wedge_vertices.astype(np.int32),
         uvs=mesh.uvs[fine_wedges],
         attributes=mesh.attributes[fine_wedges],
     )
-    return DividedMesh(divided, is_reversed, sources, fine_wedges, touched[sources])
+    return DividedMesh(divided, is_reversed, sources, fine_wedges.astype(np.int32), touched[sources])
 
 
 def _pair(mesh: TexturedMesh, halfedges: np.ndarray, keys: np.ndarray, is_forward: np.ndarray) -> np.ndarray:
