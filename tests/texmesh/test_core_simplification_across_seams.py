@@ -7,7 +7,9 @@ from farfield.addon.core.geometry.distance import closest_on_mesh
 from farfield.addon.core.geometry.edges import find_edges
 from farfield.addon.core.geometry.mesh import TriangleMesh, face_areas_and_normals
 from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.texmesh.refitting.deviation_quadrics import DeviationQuadrics
 from farfield.addon.core.texmesh.settings import TexmeshSettings
+from farfield.addon.core.texmesh.simplification.engine import CollapseEngine
 from farfield.addon.core.texmesh.simplification.levels import extract_level, simplify_by_cost
 from farfield.addon.core.texmesh.simplification.topology import orient_alike
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh, merge_wedges
@@ -97,3 +99,44 @@ def test_an_island_stays_as_long_as_its_texture_is_larger_than_what_else_would_c
     uvs[(np.abs(centers[:, :2] - 8.5) < 0.5).all(axis=1)] += 5.0
     level = simplify(build_textured_mesh(TriangleMesh(mesh.vertices, mesh.triangles), uvs), 40)
     assert (level.corner_uvs > 4.0).any()
+
+
+def make_box(size: tuple[float, float, float]) -> TexturedMesh:
+    """Return a box with a corner at the origin whose faces are islands."""
+    corners = np.array([[x, y, z] for x in (0.0, size[0]) for y in (0.0, size[1]) for z in (0.0, size[2])])
+    quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+    triangles = quads[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
+    axes = np.abs(face_areas_and_normals(corners[triangles])[1]).argmax(axis=1)
+    flat = np.stack([np.delete(face, axis, axis=1) for face, axis in zip(corners[triangles], axes, strict=True)])
+    return build_textured_mesh(TriangleMesh(corners, triangles), flat + 9.0 * np.arange(6).repeat(2)[:, None, None])
+
+
+def test_the_plane_of_an_island_still_costs_when_its_triangles_are_gone():
+    """Otherwise the corners of a plank whose end has vanished would slide along it."""
+    mesh = make_box((0.3, 1.6, 0.08))
+    engine, cost = CollapseEngine(mesh, crosses_seams=True), DeviationQuadrics(mesh, normal_weight=8.0)
+    _, collapses = engine.topology.find_collapses(np.array([0]), engine.groups)
+    moves = engine.find_moves(collapses)
+    before = cost.evaluate(collapses, moves)
+    at_end = (mesh.vertices[mesh.triangles][..., 1] == 0.0).all(axis=1)
+    rows, corners = np.nonzero(at_end[:, None] & (mesh.triangles == 0))
+    cost.drop_wedges(np.unique(mesh.wedge_triangles[rows, corners]), np.array([0]))
+    expected = 8.0 * len(rows) * 0.5 * 0.3 * 0.08 / 3.0 * mesh.vertices[collapses.kept, 1] ** 2
+    assert expected.max() > 0.1
+    np.testing.assert_allclose(cost.evaluate(collapses, moves) - before, expected, atol=1e-12)
+
+
+def test_wedges_that_vanish_are_found():
+    """Collapses drop all wedges but those that remain, and those that others replace."""
+    mesh = torus(islands=40)
+    dropped: list[int] = []
+
+    class Recorded(DeviationQuadrics):
+        def drop_wedges(self, wedges, vertices):
+            dropped.extend(wedges.tolist())
+            super().drop_wedges(wedges, vertices)
+
+    target = len(mesh.triangles) // 20
+    level = run_to_end(simplify_by_cost(mesh, lambda divided, _: Recorded(divided, 1.0), [target], CHOSEN)).levels[0]
+    assert len(set(dropped)) == len(dropped) > 0
+    assert not set(dropped) & set(level.wedge_triangles.ravel().tolist())

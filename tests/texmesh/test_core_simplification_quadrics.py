@@ -83,6 +83,9 @@ class HeightCost:
     def merge(self, collapses: Collapses, _moves: WedgeMoves) -> None:
         self.merged += len(collapses.removed)
 
+    def drop_wedges(self, wedges: np.ndarray, vertices: np.ndarray) -> None:
+        """No other cost depends on them."""
+
 
 def test_a_given_cost_decides_about_order_and_direction():
     mesh = torus(islands=1)

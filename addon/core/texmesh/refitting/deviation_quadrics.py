@@ -35,7 +35,7 @@ class DeviationQuadrics(WedgeQuadrics):
         uv_scale = compute_uv_scale(mesh)
         points = np.column_stack([mesh.vertices[mesh.wedge_vertices], uv_scale * mesh.uvs])
         center = points.mean(axis=0)
-        super().__init__(mesh, points - center, mesh.vertices - center[:3])
+        super().__init__(mesh, points - center, mesh.vertices - center[:3], normal_weight)
         areas, normals = face_areas_and_normals(mesh.vertices[mesh.triangles])
         self._areas = np.bincount(mesh.wedge_triangles.ravel(), np.repeat(areas, 3) / 3.0, len(points))
         rows = _deviation_rows(self._points[mesh.wedge_triangles], normals, normal_weight)

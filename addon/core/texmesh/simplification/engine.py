@@ -112,6 +112,9 @@ class RemovalOrder(Protocol):
     def apply(self, engine: "CollapseEngine", collapses: Collapses) -> None:
         """Take note of `collapses` that are performed next."""
 
+    def drop_wedges(self, wedges: np.ndarray, vertices: np.ndarray) -> None:
+        """Take note that `wedges` (N,), last at `vertices` (N,), have no triangles any more, and that no other wedges replace them."""
+
     def mark_changed(self, vertices: np.ndarray) -> None:
         """Take note of `vertices` (N,) whose triangles have changed."""
 
@@ -310,5 +313,19 @@ class CollapseEngine:
         is_kept[fans.triangles[fans.vanishes]] = False
         self._keep(is_kept)
         self._is_waiting[changed] = False
+        order.drop_wedges(*self._find_dropped_wedges(fans))
         order.mark_changed(changed)
         self.rebuild()
+
+    def _find_dropped_wedges(self, fans: CollapseFans) -> tuple[np.ndarray, np.ndarray]:
+        """Return the wedges (N,) whose last triangles vanished with the collapses of `fans`, and the vertices (N,) where they were."""
+        starts, wedges = fans.topology.vertex_wedges
+        is_used = np.zeros(len(self.groups), bool)
+        is_used[self.wedges] = True
+        old = fans.topology.wedges[fans.corners]
+        is_used[old[old != fans.wedges]] = True  # Those that others replace are no longer needed.
+        rows = np.flatnonzero(~is_used[wedges])
+        vertices = np.searchsorted(starts, rows, side="right") - 1
+        homes = np.arange(len(starts) - 1)
+        homes[fans.collapses.removed] = fans.collapses.kept
+        return wedges[rows], homes[vertices]

@@ -37,6 +37,9 @@ class CollapseCost(Protocol):
     def merge(self, collapses: Collapses, moves: WedgeMoves) -> None:
         """Take note of `collapses` that are performed."""
 
+    def drop_wedges(self, wedges: np.ndarray, vertices: np.ndarray) -> None:
+        """See `RemovalOrder`."""
+
 
 class GivenOrder:
     """Vertices with low priorities are removed first, and collapse onto the nearest neighbor. Ties are broken by perceptual values."""
@@ -71,6 +74,9 @@ class GivenOrder:
         return np.ones(len(costs), bool)
 
     def apply(self, engine: CollapseEngine, collapses: Collapses) -> None:
+        """See `RemovalOrder`."""
+
+    def drop_wedges(self, wedges: np.ndarray, vertices: np.ndarray) -> None:
         """See `RemovalOrder`."""
 
     def mark_changed(self, vertices: np.ndarray) -> None:
@@ -115,6 +121,10 @@ class CheapestOrder:
         """See `RemovalOrder`."""
         self._cost.merge(collapses, engine.find_moves(collapses))
 
+    def drop_wedges(self, wedges: np.ndarray, vertices: np.ndarray) -> None:
+        """See `RemovalOrder`."""
+        self._cost.drop_wedges(wedges, vertices)
+
     def mark_changed(self, vertices: np.ndarray) -> None:
         """See `RemovalOrder`."""
         self._is_stale[vertices] = True
@@ -135,6 +145,10 @@ class ScaleWeightedQuadrics:
     def merge(self, collapses: Collapses, moves: WedgeMoves) -> None:
         """See `CollapseCost`."""
         self._quadrics.merge(collapses, moves)
+
+    def drop_wedges(self, wedges: np.ndarray, vertices: np.ndarray) -> None:
+        """See `CollapseCost`."""
+        self._quadrics.drop_wedges(wedges, vertices)
 
 
 class TextureQuadrics(WedgeQuadrics):
