@@ -27,7 +27,7 @@ CAMERA = Camera(np.array([3.0, 4.0, 5.0]), 1000, 0.7)
 def levels() -> LevelSet:
     """Four levels of a ball with figures, as the operator makes them."""
     ball = textured_ball(8, "Ball")
-    new = [NewLevel(ball.data.copy(), 0.004 * number, 0.0) for number in range(4)]
+    new = [NewLevel(ball.data.copy(), 0.004 * number, 0.0, 0.0) for number in range(4)]
     made = add_level_set(ball, bpy.context.scene, "Ball Levels", new, [])
     figures = {
         "levels": [{"triangles": count} for count in TRIANGLES],

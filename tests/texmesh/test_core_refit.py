@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from texmesh_deviation import make_refit_levels, measure_geometric_deviation, measure_texture_deviation
 
+from farfield.addon.core.geometry.distance import closest_on_mesh
 from farfield.addon.core.geometry.edges import find_edges, halfedge_ends
 from farfield.addon.core.geometry.mesh import TriangleMesh, concatenate
 from farfield.addon.core.geometry.transforms import signed_areas
@@ -82,11 +83,21 @@ def add_spike(mesh: TexturedMesh, height: float = 0.5) -> TexturedMesh:
     return replace(mesh, vertices=vertices)
 
 
-def test_a_level_with_a_spike_or_a_texture_that_slides_is_worse(fine, level, refitted):
+def test_a_level_with_a_spike_or_a_texture_that_slides_is_not_chosen(fine, level, refitted):
     comparison = LevelComparison(FineSurface.of(fine))
-    assert not comparison.is_worse(refitted, level) and not comparison.is_worse(fine, fine)
-    assert comparison.is_worse(add_spike(refitted), level)
-    assert comparison.is_worse(replace(refitted, uvs=refitted.uvs + [0.0, 0.2]), level)
+    assert comparison.choose([refitted, level])[0] == 0 and comparison.choose([fine, fine, level])[0] == 0
+    assert comparison.choose([add_spike(refitted), add_spike(level, 2.0), level])[0] == 2
+    assert comparison.choose([replace(refitted, uvs=refitted.uvs + [0.0, 0.2]), level])[0] == 1
+
+
+def test_no_point_of_a_level_is_farther_than_its_distance(fine, level, refitted):
+    comparison = LevelComparison(FineSurface.of(fine))
+    for mesh in (level, refitted, add_spike(refitted)):
+        distance = comparison.measure(mesh).distance
+        points = sample_surface(mesh, find_islands(mesh), 50_000, np.random.default_rng(5)).positions
+        largest = closest_on_mesh(points, fine.vertices[fine.triangles])[0].max()
+        missing = closest_on_mesh(fine.vertices, mesh.vertices[mesh.triangles])[0].max()
+        assert largest <= distance <= 1.25 * max(largest, missing)
 
 
 @pytest.mark.parametrize("is_spiked", [False, True])
@@ -101,7 +112,7 @@ def test_levels_that_the_refit_made_worse_keep_their_vertices(monkeypatch, is_sp
     settings = TexmeshSettings(levels="ratios", ratios="0.4", views=2, max_image=32)
     chain = run_to_end(level_chain.make_levels(mesh, [checkered(16)], settings))
     are_kept = (chain.levels[1].mesh.vertices[:, None] == mesh.vertices).all(axis=2).any(axis=1)
-    assert are_kept.all() == is_spiked
+    assert are_kept.all() == is_spiked and chain.levels[1].is_moved != is_spiked
 
 
 def test_levels_without_texture_coordinates_are_refitted_in_space():

@@ -25,7 +25,7 @@ def levels() -> LevelSet:
     ball.scale = (2.0, 2.0, 2.0)
     ball.location = (5.0, 0.0, 0.0)
     bpy.context.view_layer.update()
-    new = [NewLevel(ball.data.copy(), error, 100.0 * error) for error in ERRORS]
+    new = [NewLevel(ball.data.copy(), error, 0.0, 100.0 * error) for error in ERRORS]
     made = add_level_set(ball, bpy.context.scene, "Ball Levels", new, [])
     bpy.context.view_layer.update()
     made.add_crossfade(bpy.context.scene, 0.1)

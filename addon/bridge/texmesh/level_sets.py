@@ -26,6 +26,7 @@ from .temporary_visibility import restore
 
 LEVEL = "texmesh_level"  # the KIND of the objects
 TRIANGLES = "farfield_triangles"
+SURFACE_DISTANCE = "farfield_surface_distance"  # in units of the object, see `NewLevel`
 SWITCH_DISTANCE = "farfield_switch_distance"  # in units of the object, for the display that the levels were made for
 MATERIAL = "farfield_material"  # property of the copy of a material: the name of the original
 FIGURES = "farfield_texmesh_figures"  # Property of the collection: JSON about how the levels were made.
@@ -33,11 +34,19 @@ FIGURES = "farfield_texmesh_figures"  # Property of the collection: JSON about h
 
 @dataclass(frozen=True)
 class NewLevel:
-    """A level to be added. error: object units, 0 for the finest. switch_distance: object units, 0 for the finest. images: those that
-    replace the color images of materials, by material slot."""
+    """A level to be added.
+
+    Attributes:
+        mesh: the level.
+        error: the size of a pixel above which it shows, in object units, 0 for the finest.
+        surface_distance: no point of it is farther from the original, in object units.
+        switch_distance: from the camera, in object units, 0 for the finest.
+        images: those that replace the color images of materials, by material slot.
+    """
 
     mesh: bpy.types.Mesh
     error: float
+    surface_distance: float
     switch_distance: float
     images: Mapping[int, bpy.types.Image] = field(default_factory=dict)
 
@@ -126,6 +135,7 @@ def add_level_set(
         item.matrix_world = mathutils.Matrix(find_frame(np.array(source.matrix_world)).tolist())
         item[KIND], item[NUMBER], item[ERROR] = LEVEL, number, float(level.error)
         item[SWITCH_DISTANCE], item[TRIANGLES] = float(level.switch_distance), len(level.mesh.polygons)
+        item[SURFACE_DISTANCE] = float(level.surface_distance)
         copy_render_properties(source, item)
         collection.objects.link(item)
         objects.append(item)

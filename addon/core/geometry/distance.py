@@ -29,7 +29,7 @@ class TriangleTree:
     """Triangles `corners` (T, 3, 3) for several searches like `closest_on_mesh`."""
 
     def __init__(self, corners: np.ndarray) -> None:
-        self._corners = corners
+        self.corners = corners
         self._levels, self._order = _build_aabb_tree(corners)
         self._centroids = cKDTree(corners.mean(axis=1))
 
@@ -47,7 +47,7 @@ class TriangleTree:
 
     def _descend(self, points: np.ndarray, limits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return what `find_closest` does, for squared distances `limits` (N,) that are near enough."""
-        best, nearest = _upper_bounds(points, self._corners, self._centroids)
+        best, nearest = _upper_bounds(points, self.corners, self._centroids)
         point = np.flatnonzero(best > limits)
         node = np.zeros(len(point), np.int64)
         for level, (low, high) in enumerate(self._levels):
@@ -56,12 +56,12 @@ class TriangleTree:
                 node = np.stack([2 * node, 2 * node + 1], axis=1).ravel()
             is_candidate = _squared_box_distances(points[point], low[node], high[node]) < best[point]
             point, node = point[is_candidate], node[is_candidate]
-        starts = _node_starts(len(self._corners), len(self._levels) - 1)
+        starts = _node_starts(len(self.corners), len(self._levels) - 1)
         sizes = starts[node + 1] - starts[node]
         point = np.repeat(point, sizes)
         triangle = self._order[concatenate_ranges(starts[node], sizes)]
         if len(point):
-            squared = squared_point_triangle_distances(points[point], self._corners[triangle])
+            squared = squared_point_triangle_distances(points[point], self.corners[triangle])
             first = segment_argmin(squared, np.flatnonzero(np.diff(point, prepend=-1)))
             better = first[squared[first] < best[point[first]]]
             best[point[better]], nearest[point[better]] = squared[better], triangle[better]
@@ -144,7 +144,7 @@ def plane_barycentric(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     return coordinates
 
 
-def one_sided_hausdorff(corners: np.ndarray, target: np.ndarray, tolerance: float, minimum: float = 0.0) -> float:
+def one_sided_hausdorff(corners: np.ndarray, target: np.ndarray | TriangleTree, tolerance: float, minimum: float = 0.0) -> float:
     """Return the largest distance of any point of triangles (T, 3, 3) to the triangles `target` (K, 3, 3), at most `tolerance` too large.
 
     The distance to one triangle is convex, so over a whole face it is largest at a corner: this bounds a face from above, and its corners
@@ -152,8 +152,9 @@ def one_sided_hausdorff(corners: np.ndarray, target: np.ndarray, tolerance: floa
     still an upper bound, but a looser one. Distances below `minimum` are not resolved, and the result is at least `minimum`.
     """
     largest, pieces = minimum, corners
+    tree = target if isinstance(target, TriangleTree) else TriangleTree(target)
     while True:
-        lower, upper = _distance_bounds(pieces, target, largest + tolerance)
+        lower, upper = _distance_bounds(pieces, tree, largest + tolerance)
         largest = max(largest, float(lower.max()))
         is_open = upper > largest + tolerance
         if not is_open.any():
@@ -170,9 +171,9 @@ def faces_farther_than(corners: np.ndarray, target: np.ndarray, distance: float,
     many pieces, see `one_sided_hausdorff`.
     """
     is_farther = np.zeros(len(corners), bool)
-    pieces, face = corners, np.arange(len(corners))
+    pieces, face, tree = corners, np.arange(len(corners)), TriangleTree(target)
     while len(pieces):
-        lower, upper = _distance_bounds(pieces, target, distance)
+        lower, upper = _distance_bounds(pieces, tree, distance)
         is_farther[face[lower > distance - tolerance]] = True
         is_open = (upper > distance) & ~is_farther[face]
         if 4 * is_open.sum() > MAX_PIECES:
@@ -182,17 +183,17 @@ def faces_farther_than(corners: np.ndarray, target: np.ndarray, distance: float,
     return is_farther
 
 
-def _distance_bounds(pieces: np.ndarray, target: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray]:
+def _distance_bounds(pieces: np.ndarray, target: TriangleTree, threshold: float) -> tuple[np.ndarray, np.ndarray]:
     """Return lower and upper bounds (P,) of the largest distance of any point of each of `pieces` (P, 3, 3); loose below `threshold`."""
-    lower, nearest = closest_on_mesh(pieces.mean(axis=1), target)
+    lower, nearest = target.find_closest(pieces.mean(axis=1))
     # The triangle nearest to the centroid decides most faces; only the others need those nearest to their corners.
-    upper = _max_corner_distances(pieces, target[nearest])
+    upper = _max_corner_distances(pieces, target.corners[nearest])
     undecided = np.flatnonzero(upper > threshold)
     if len(undecided):
-        distances, nearest = closest_on_mesh(pieces[undecided].reshape(-1, 3), target)
+        distances, nearest = target.find_closest(pieces[undecided].reshape(-1, 3))
         lower[undecided] = np.maximum(lower[undecided], distances.reshape(-1, 3).max(axis=1))
         for candidates in nearest.reshape(-1, 3).T:
-            upper[undecided] = np.minimum(upper[undecided], _max_corner_distances(pieces[undecided], target[candidates]))
+            upper[undecided] = np.minimum(upper[undecided], _max_corner_distances(pieces[undecided], target.corners[candidates]))
     return lower, upper
 
 

@@ -12,7 +12,7 @@ from ..jobs.progress import Steps
 from .corner_attributes import CornerAttributes
 from .perception.weber import Collapses
 from .refitting.outliers import FineSurface
-from .refitting.refit import make_starts
+from .refitting.refit import RefitStart, make_starts
 from .scale_space.features import ScaleMap
 from .settings import TexmeshSettings
 from .simplification.levels import Simplification, SubsetLevel, extract_level, simplify_by_cost, simplify_in_order
@@ -34,15 +34,17 @@ class Candidate:
         mesh: the level.
         scale: the last scale whose features it has, 0 for the original.
         subset: what it is of the original, None for the original itself.
-        start: the subset level from which it is optimized, None if it is not.
-        target: triangles of the optimized level, 0 if it is not optimized.
+        start: where its optimization starts, None if it is not optimized.
+        distance: no point of it is farther from the original; NaN if that is not known.
+        is_moved: whether its vertices are optimized.
     """
 
     mesh: TexturedMesh
     scale: int
     subset: SubsetLevel | None
-    start: SubsetLevel | None = None
-    target: int = 0
+    start: RefitStart | None = None
+    distance: float = math.nan
+    is_moved: bool = False
 
 
 @dataclass(frozen=True)
@@ -96,11 +98,11 @@ def make_candidates(mesh: TexturedMesh, scale_map: ScaleMap, ratios: Sequence[fl
         tasks.append(make_starts(plain, targets, settings))
     simplification, *starts = yield from run_in_parallel(tasks)
     items = [Candidate(mesh, 0, None)]
-    rows = zip(simplification.levels, scales, targets, starts[0] if starts else [None] * len(targets), strict=True)
-    for level, scale, target, start in rows:
+    rows = zip(simplification.levels, scales, starts[0] if starts else [None] * len(targets), strict=True)
+    for level, scale, start in rows:
         if 0 < len(level.triangles) < len(items[-1].mesh.triangles):
             subset = extract_level(plain, level)
-            items.append(Candidate(subset if attributes is None else attributes.add_to(subset), scale, level, start, target))
+            items.append(Candidate(subset if attributes is None else attributes.add_to(subset), scale, level, start))
     return Candidates(items, simplification, attributes)
 
 

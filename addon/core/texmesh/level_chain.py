@@ -17,11 +17,12 @@ from .perception.level_images import LevelImages
 from .perception.switch_distances import Switch, find_shown_levels, find_switches, open_images
 from .perception.weber import Impacts
 from .refitting.comparison import LevelComparison
+from .refitting.outliers import FineSurface
 from .refitting.refit import refit_starts
 from .scale_space.analysis import analyze_scale_space
 from .scale_space.features import ScaleMap
 from .settings import TexmeshSettings
-from .simplification.levels import Simplification, SubsetLevel
+from .simplification.levels import Simplification, SubsetLevel, extract_level
 from .textured_mesh import TexturedMesh
 
 
@@ -35,6 +36,8 @@ class Level:
         pixel_size: see `perception.switch_distances.Switch`; 0 for the original.
         switch: from where it may replace its finer neighbor, None for the original.
         subset: what it is of the original, before its vertices moved if it is optimized; None for the original itself.
+        distance: no point of it is farther from the original, in the unit of the mesh.
+        is_moved: whether its vertices are optimized. Where that would have made it worse, it keeps those of the original.
     """
 
     mesh: TexturedMesh
@@ -42,6 +45,8 @@ class Level:
     pixel_size: float
     switch: Switch | None
     subset: SubsetLevel | None
+    distance: float
+    is_moved: bool
 
     @property
     def constraint(self) -> str:
@@ -121,8 +126,13 @@ def _keep(
     _settings: TexmeshSettings,
 ) -> Steps[tuple[list[Candidate], list[LevelImages]]]:
     """Return the `chosen` candidates, whose vertices are those of the original, and their images."""
-    yield from ()
-    return [compared.items[index] for index in chosen], [compared.images[index] for index in chosen]
+    original, *others = (compared.items[index] for index in chosen)
+    comparison = LevelComparison(FineSurface.of(original.mesh))
+    kept = [original]
+    for item in others:
+        yield Progress(0.9, "Measuring levels")
+        kept.append(replace(item, distance=comparison.measure(item.mesh).distance))
+    return kept, [compared.images[index] for index in chosen]
 
 
 def _optimize(
@@ -133,15 +143,19 @@ def _optimize(
     settings: TexmeshSettings,
 ) -> Steps[tuple[list[Candidate], list[LevelImages]]]:
     """Return the `chosen` candidates with positions and texture coordinates that deviate least from the original, and their images. Where
-    the farthest places of an optimized level are farther than those of the candidate, the candidate stays as it is."""
+    the farthest places of an optimized level are farther than those of the candidate, or of the level that the optimization began with,
+    that one is taken."""
     del compared.images[1:]  # The optimization needs their memory.
     original, *others = (compared.items[index] for index in chosen)
     comparison = LevelComparison(candidates.attributes.surface)
-    moved = yield from refit_starts(comparison.surface, [item.start for item in others], [item.target for item in others])
+    moved = yield from refit_starts(comparison.surface, [item.start for item in others])
     kept = [original]
     for item, level in zip(others, moved, strict=True):
         yield Progress(0.9, "Comparing levels")
-        kept.append(item if comparison.is_worse(level, item.mesh) else replace(item, mesh=candidates.attributes.add_to(level)))
+        choices = [level, item.mesh, extract_level(comparison.surface.mesh, item.start.full)]
+        best, deviations = comparison.choose(choices)
+        mesh = item.mesh if best == 1 else candidates.attributes.add_to(choices[best])
+        kept.append(replace(item, mesh=mesh, distance=deviations.distance, is_moved=best == 0))
     return kept, open_images(view_levels(kept, mipmaps, settings), settings, compared.images)
 
 
@@ -158,4 +172,5 @@ def _show_visible(images: Sequence[LevelImages], settings: TexmeshSettings) -> S
 
 
 def _to_level(item: Candidate, switch: Switch | None) -> Level:
-    return Level(item.mesh, item.scale, 0.0 if switch is None else switch.pixel_size, switch, item.subset)
+    pixel_size, distance = (0.0, 0.0) if switch is None else (switch.pixel_size, item.distance)
+    return Level(item.mesh, item.scale, pixel_size, switch, item.subset, distance, item.is_moved)

@@ -144,6 +144,7 @@ class LevelsJob:
             NewLevel(
                 create_level_mesh(f"{item.name} L{number}", source, level.mesh, chain.scale_map, is_subset),
                 level.pixel_size,
+                level.distance,
                 self._switch_distance(level.pixel_size),
                 {} if images is None else images.levels[number],
             )
@@ -187,6 +188,9 @@ def describe_chain(chain: LevelChain) -> dict:
                 "pixel_size": level.pixel_size,
                 "pixels": None if level.switch is None else level.switch.pixels,
                 "difference": None if level.switch is None else level.switch.difference,
+                "distance": level.distance,
+                "distance_pixels": level.distance / level.pixel_size if level.pixel_size else 0.0,
+                "is_optimized": level.is_moved,
                 "constraint": level.constraint,
                 "drastic_steps": list(level.drastic_steps),
             }

@@ -60,7 +60,7 @@ class FineSurface:
     def find_closest(self, points: np.ndarray, enough: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Return the distances (N,) of `points` (N, 3) from the surface, and the nearest triangles (N,). Distances up to `enough`, one or
         (N,), may be upper bounds, those from another triangle."""
-        return self._tree.find_closest(points, enough)
+        return self.tree.find_closest(points, enough)
 
     def measure_distances(self, points: np.ndarray, enough: np.ndarray | float = 0.0) -> np.ndarray:
         """Return the distances alone, see `find_closest`."""
@@ -72,7 +72,8 @@ class FineSurface:
         return self.mesh.vertices[self.mesh.triangles]
 
     @cached_property
-    def _tree(self) -> TriangleTree:
+    def tree(self) -> TriangleTree:
+        """The triangles, for searches."""
         return TriangleTree(self.corners)
 
     @cached_property

@@ -58,18 +58,34 @@ class Tuning:
 TUNING = Tuning()
 
 
-def make_starts(fine: TexturedMesh, targets: list[int], settings: TexmeshSettings) -> Steps[tuple[SubsetLevel, ...]]:
-    """Return the subset levels from which refits start, see `make_refit_levels`."""
-    counts = [max(round((1.0 - TUNING.split_fraction) * target), 1) for target in targets]
-    return (yield from simplify_by_cost(fine, lambda mesh, _: DeviationQuadrics(mesh, TUNING.normal_weight), counts, settings)).levels
+@dataclass(frozen=True)
+class RefitStart:
+    """Where the refit of a level starts.
+
+    Attributes:
+        target: triangles of the level.
+        start: a subset level with fewer triangles, since splits of edges add some.
+        full: the subset level with all of them.
+    """
+
+    target: int
+    start: SubsetLevel
+    full: SubsetLevel
 
 
-def refit_starts(
-    surface: FineSurface, starts: Sequence[SubsetLevel], targets: Sequence[int], iterations: int = TUNING.iterations
-) -> Steps[list[TexturedMesh]]:
-    """Return the levels that `starts` of `make_starts`, or some of them, become, with their `targets`. surface: of the fine mesh."""
+def make_starts(fine: TexturedMesh, targets: list[int], settings: TexmeshSettings) -> Steps[list[RefitStart]]:
+    """Return where the refits of levels with `targets` triangles start."""
+    reduced = [max(round((1.0 - TUNING.split_fraction) * target), 1) for target in targets]
+    counts = sorted({*targets, *reduced}, reverse=True)
+    result = yield from simplify_by_cost(fine, lambda mesh, _: DeviationQuadrics(mesh, TUNING.normal_weight), counts, settings)
+    levels = dict(zip(counts, result.levels, strict=True))
+    return [RefitStart(target, levels[count], levels[target]) for target, count in zip(targets, reduced, strict=True)]
+
+
+def refit_starts(surface: FineSurface, starts: Sequence[RefitStart], iterations: int = TUNING.iterations) -> Steps[list[TexturedMesh]]:
+    """Return the levels that `starts` of `make_starts`, or some of them, become. surface: of the fine mesh."""
     fine = surface.mesh
-    tasks = [refit(fine, extract_level(fine, start), target, surface, iterations) for target, start in zip(targets, starts, strict=True)]
+    tasks = [refit(fine, extract_level(fine, start.start), start.target, surface, iterations) for start in starts]
     return (yield from run_in_parallel(tasks))
 
 
