@@ -129,6 +129,12 @@ def test_materials_without_an_image():
     assert read_surface(material).color.factor == pytest.approx((0.1, 0.2, 0.3))
 
 
+def test_values_that_are_no_numbers_are_black():
+    material = textured_material(None)
+    material.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.5, float("nan"), 0.25, 1.0)
+    assert read_surface(material).color.factor == (0.5, 0.0, 0.25)
+
+
 @pytest.mark.parametrize(
     ("properties", "space", "linear"),
     [

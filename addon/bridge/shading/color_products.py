@@ -1,5 +1,6 @@
 """Colors and numbers of shader nodes as products: of a constant, images and color attributes."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -57,8 +58,10 @@ def read_source_product(source: ScopedSocket, depth: int = 0) -> ColorProduct:
 
 
 def _constant(socket: bpy.types.NodeSocket) -> ColorProduct:
+    """Return the value of a socket; what is no number in a damaged file counts as black."""
     value = getattr(socket, "default_value", 1.0)
-    return ColorProduct((float(value),) * 3 if isinstance(value, int | float) else tuple(float(item) for item in value[:3]))
+    factor = (float(value),) * 3 if isinstance(value, int | float) else tuple(map(float, value[:3]))
+    return ColorProduct(tuple(item if math.isfinite(item) else 0.0 for item in factor))
 
 
 def _read_image(source: ScopedSocket, _depth: int) -> ColorProduct | None:
