@@ -12,6 +12,7 @@ of a wheel arch is cut off. So each removed vertex of a border is compared with 
 
 import numpy as np
 
+from ...arrays import TINY
 from ...geometry.edges import halfedge_ends
 from ...geometry.mesh import face_areas_and_normals
 from ...geometry.transforms import signed_areas
@@ -35,11 +36,12 @@ class DeviationQuadrics(WedgeQuadrics):
         uv_scale = compute_uv_scale(mesh)
         points = np.column_stack([mesh.vertices[mesh.wedge_vertices], uv_scale * mesh.uvs])
         center = points.mean(axis=0)
-        super().__init__(mesh, points - center, mesh.vertices - center[:3], normal_weight)
         areas, normals = face_areas_and_normals(mesh.vertices[mesh.triangles])
-        self._areas = np.bincount(mesh.wedge_triangles.ravel(), np.repeat(areas, 3) / 3.0, len(points))
+        weights = _weigh_triangles(areas)
+        super().__init__(mesh, points - center, mesh.vertices - center[:3], normal_weight * weights)
+        self._areas = np.bincount(mesh.wedge_triangles.ravel(), np.repeat(weights, 3) / 3.0, len(points))
         rows = _deviation_rows(self._points[mesh.wedge_triangles], normals, normal_weight)
-        terms = np.einsum("tik,til->tkl", rows, rows)[:, ROWS, COLUMNS] * (areas / 3.0)[:, None]
+        terms = np.einsum("tik,til->tkl", rows, rows)[:, ROWS, COLUMNS] * (weights / 3.0)[:, None]
         for corner in range(3):
             np.add.at(self._quadrics, mesh.wedge_triangles[:, corner], terms)
         self._add_borders(mesh)
@@ -74,6 +76,16 @@ class DeviationQuadrics(WedgeQuadrics):
         terms = rows[:, ROWS] * rows[:, COLUMNS] * (0.5 * CURVE_WEIGHT * (scales * lengths) ** 2)[:, None]
         np.add.at(self._quadrics, start, terms)
         np.add.at(self._quadrics, end, terms)
+
+
+def _weigh_triangles(areas: np.ndarray) -> np.ndarray:
+    """Return weights (T,) of triangles with `areas` (T,) in proportion to their square roots, with the same sum.
+
+    Small triangles count more than by area: they are where the shape has detail, and where limbs end, which would get shorter otherwise,
+    since the planes along a limb do not resist.
+    """
+    roots = np.sqrt(areas)
+    return roots * (areas.sum() / max(roots.sum(), TINY))
 
 
 def _deviation_rows(corners: np.ndarray, normals: np.ndarray, normal_weight: float) -> np.ndarray:

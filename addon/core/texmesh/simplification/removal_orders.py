@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from ...arrays import TINY
-from ...geometry.mesh import longest_side, scaled_normals
+from ...geometry.mesh import face_areas_and_normals, longest_side, scaled_normals
 from ...geometry.transforms import signed_areas
 from ..textured_mesh import TexturedMesh
 from .engine import CollapseEngine, WedgeMoves
@@ -159,7 +159,7 @@ class TextureQuadrics(WedgeQuadrics):
         positions = (mesh.vertices - mesh.vertices.mean(axis=0)) * unit
         scales, overall = _find_uv_scales(mesh, unit)
         points = np.concatenate([positions[mesh.wedge_vertices], mesh.uvs * overall], axis=1)
-        super().__init__(mesh, points, positions)
+        super().__init__(mesh, points, positions, face_areas_and_normals(positions[mesh.triangles])[0])
         triangles = np.ascontiguousarray(mesh.triangles.T)
         wedges = np.ascontiguousarray(mesh.wedge_triangles.T)
         topology = build_topology(triangles, wedges, np.arange(len(points)), np.zeros(len(mesh.vertices), bool))

@@ -17,16 +17,16 @@ LOST_DISTANCE = 0.05  # The texture of an island that vanishes counts as so far 
 class WedgeQuadrics:
     """The part that costs of collapses have in common. A subclass adds quadrics (W, 21) and areas (W,) of wedges, then calls `finish`."""
 
-    def __init__(self, mesh: TexturedMesh, points: np.ndarray, positions: np.ndarray, normal_weight: float = 1.0) -> None:
+    def __init__(self, mesh: TexturedMesh, points: np.ndarray, positions: np.ndarray, plane_weights: np.ndarray) -> None:
         """points: (W, 5), positions and texture coordinates of wedges, scaled alike. positions: (V, 3), of the vertices of `mesh`.
-        normal_weight: of squared distances from planes."""
+        plane_weights: (T,), of squared distances from the planes of triangles."""
         areas = face_areas_and_normals(positions[mesh.triangles])[0]
         self._island_costs = np.bincount(find_islands(mesh), areas) * (LOST_DISTANCE * longest_side(positions)) ** 2
         self._points, self._positions = points.copy(), positions
         self._monomials = _list_monomials(points)
         self._quadrics = np.zeros((len(points), len(ROWS)))
         self._areas = np.zeros(len(points))
-        self._planes = _plane_quadrics(mesh, positions, normal_weight)
+        self._planes = _plane_quadrics(mesh, positions, plane_weights)
         self._vertex_planes, self._has_vertex_planes = np.zeros((len(positions), len(PLANE_ROWS))), False  # see `drop_wedges`
 
     def finish(self) -> None:
@@ -93,11 +93,11 @@ def _list_products(points: np.ndarray, rows: np.ndarray, columns: np.ndarray) ->
     return homogeneous[:, rows] * homogeneous[:, columns] * np.where(rows == columns, 1.0, 2.0)
 
 
-def _plane_quadrics(mesh: TexturedMesh, positions: np.ndarray, weight: float) -> np.ndarray:
-    """Return quadrics (W, 10) of squared distances of positions from the planes at wedges, by area."""
-    areas, normals = face_areas_and_normals(positions[mesh.triangles])
+def _plane_quadrics(mesh: TexturedMesh, positions: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return quadrics (W, 10) of squared distances of positions from the planes of the triangles at wedges, with `weights` (T,)."""
+    _, normals = face_areas_and_normals(positions[mesh.triangles])
     planes = np.column_stack([normals, -np.einsum("ti,ti->t", normals, positions[mesh.triangles[:, 0]])])
-    terms = planes[:, PLANE_ROWS] * planes[:, PLANE_COLUMNS] * (weight / 3.0 * areas)[:, None]
+    terms = planes[:, PLANE_ROWS] * planes[:, PLANE_COLUMNS] * (weights / 3.0)[:, None]
     quadrics = np.zeros((len(mesh.uvs), len(PLANE_ROWS)))
     for corner in range(3):
         np.add.at(quadrics, mesh.wedge_triangles[:, corner], terms)
