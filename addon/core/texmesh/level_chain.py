@@ -13,7 +13,7 @@ from ..imaging.mipmaps import Mipmaps, build_mipmaps
 from ..jobs.progress import Progress, Steps, subprogress
 from .level_candidates import Candidate, Candidates, make_candidates, parse_ratios
 from .level_choices import AS_MANY_AS_ASKED, MIN_PIXELS, ComparedCandidates, choose_candidates, compare_candidates, count_bytes, view_levels
-from .perception.level_images import LevelImages
+from .perception.level_images import LevelImages, measure_difference
 from .perception.switch_distances import Switch, find_shown_levels, find_switches, open_images
 from .perception.weber import Impacts
 from .refitting.comparison import LevelComparison
@@ -24,6 +24,9 @@ from .scale_space.features import ScaleMap
 from .settings import TexmeshSettings
 from .simplification.levels import Simplification, SubsetLevel, extract_level
 from .textured_mesh import TexturedMesh
+
+MAX_RENDERED = 20_000  # Triangles of levels that are compared in renders; larger ones are too near to the original for it to matter.
+RENDERED_SIZE, RENDERED_VIEWS = 192, 4  # pixels per side of these renders, and their number
 
 
 @dataclass(frozen=True)
@@ -143,8 +146,8 @@ def _optimize(
     settings: TexmeshSettings,
 ) -> Steps[tuple[list[Candidate], list[LevelImages]]]:
     """Return the `chosen` candidates with positions and texture coordinates that deviate least from the original, and their images. Where
-    the farthest places of an optimized level are farther than those of the candidate, or of the level that the optimization began with,
-    that one is taken."""
+    an optimized level is farther from the original, or looks less like it, than the candidate or the level that the optimization began
+    with, that one is taken."""
     del compared.images[1:]  # The optimization needs their memory.
     original, *others = (compared.items[index] for index in chosen)
     comparison = LevelComparison(candidates.attributes.surface)
@@ -152,11 +155,21 @@ def _optimize(
     kept = [original]
     for item, level in zip(others, moved, strict=True):
         yield Progress(0.9, "Comparing levels")
-        choices = [level, item.mesh, extract_level(comparison.surface.mesh, item.start.full)]
-        best, deviations = comparison.choose(choices)
-        mesh = item.mesh if best == 1 else candidates.attributes.add_to(choices[best])
-        kept.append(replace(item, mesh=mesh, distance=deviations.distance, is_moved=best == 0))
+        subsets = (item.mesh, candidates.attributes.add_to(extract_level(comparison.surface.mesh, item.start.full)))
+        choices = [replace(item, mesh=mesh) for mesh in (candidates.attributes.add_to(level), *subsets)]
+        differences = None
+        if len(level.triangles) <= MAX_RENDERED:
+            surfaces = view_levels([original, *choices], mipmaps, settings)
+            differences = _measure_differences(open_images(surfaces, settings, compared.images), settings)
+        best, deviations = comparison.choose([choice.mesh for choice in choices], differences)
+        kept.append(replace(choices[best], distance=deviations.distance, is_moved=best == 0))
     return kept, open_images(view_levels(kept, mipmaps, settings), settings, compared.images)
+
+
+def _measure_differences(images: Sequence[LevelImages], settings: TexmeshSettings) -> np.ndarray:
+    """Return the mean differences (N - 1,) of all but the first of N levels from the first one, in a few views from all sides."""
+    views = np.unique(np.linspace(0, settings.views - 1, RENDERED_VIEWS + 2).round().astype(int)[1:-1])
+    return np.array([measure_difference(images[0], image, RENDERED_SIZE, views.tolist()).means.mean() for image in images[1:]])
 
 
 def _show_all(images: Sequence[LevelImages], settings: TexmeshSettings) -> Steps[tuple[list[int], list[Switch]]]:

@@ -18,6 +18,7 @@ from .outliers import FineSurface
 SAMPLES = 20_000  # Points of the fine mesh.
 QUANTILE = 0.99  # Of the deviations of the texture, since points whose island a level lacks have none.
 MAX_RATIO = 1.25  # A level is preferred if its deviations are at most this multiple of those of the others.
+MAX_DIFFERENCE_RATIO, MIN_DIFFERENCE = 1.05, 1e-3  # The same for FLIP; differences far below the second number do not count.
 PRECISION = 0.05  # Of the largest distance, relative to that of the samples of the fine mesh.
 TOLERANCE = 1e-5  # Relative to the longest side of the mesh; smaller deviations do not count.
 
@@ -49,13 +50,17 @@ class LevelComparison:
     def _tolerance(self) -> float:
         return TOLERANCE * longest_side(self.surface.mesh.vertices)
 
-    def choose(self, levels: Sequence[TexturedMesh]) -> tuple[int, Deviations]:
-        """Return the index of the level whose deviations are small multiples of the least ones of all `levels`, and its deviations. The
-        first one is preferred if both are at most MAX_RATIO times the least."""
+    def choose(self, levels: Sequence[TexturedMesh], differences: np.ndarray | None = None) -> tuple[int, Deviations]:
+        """Return the index of the level whose deviations, and `differences` (N,) in renders, are small multiples of the least ones of all
+        N `levels`, and its deviations. The first one is preferred if none is larger than its limit."""
         deviations = [self.measure(level) for level in levels]
         values = np.array([[item.distance, item.texture] for item in deviations]) + self._tolerance
-        ratios = (values / values.min(axis=0)).max(axis=1)
-        best = 0 if ratios[0] <= MAX_RATIO else int(ratios.argmin())
+        excess = values / values.min(axis=0) / MAX_RATIO
+        if differences is not None:
+            ratios = (differences + MIN_DIFFERENCE) / (differences.min() + MIN_DIFFERENCE)
+            excess = np.column_stack([excess, ratios / MAX_DIFFERENCE_RATIO])
+        worst = excess.max(axis=1)
+        best = 0 if worst[0] <= 1.0 else int(worst.argmin())
         return best, deviations[best]
 
     def measure(self, level: TexturedMesh) -> Deviations:
