@@ -44,14 +44,21 @@ class Page:
         assert "exceptionDetails" not in result, result["exceptionDetails"]
         return result["result"].get("value")
 
-    def open(self, url: str, width: int = 640, height: int = 480, is_dark: bool = False) -> None:
-        """Go to a page and return when the navigation has begun, with a new list of messages."""
+    def open(
+        self, url: str, width: int = 640, height: int = 480, is_dark: bool = False, keeps_storage: bool = False, scale: float = 1.0
+    ) -> None:
+        """Go to a page and return when the navigation has begun, with a new list of messages.
+
+        keeps_storage: whether the page finds what it has stored before. scale: device pixels per pixel of the page.
+        """
         for domain in ("Page", "Runtime", "Network", "Log"):
             self.call(f"{domain}.enable")
         self.messages.clear()
         self.requests.clear()
         self.call("Network.setCacheDisabled", cacheDisabled=True)
-        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
+        if not keeps_storage:
+            self.call("Storage.clearDataForOrigin", origin=url, storageTypes="cache_storage")
+        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=scale, mobile=False)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if is_dark else "light"}
         self.call("Emulation.setEmulatedMedia", features=[scheme])
         self.call("Page.navigate", url=url)

@@ -27,7 +27,7 @@ environment.import_farfield()
 
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.files.file_access import error_reason
-from farfield.addon.core.packages.files import INDEX
+from farfield.addon.core.packages.files import INDEX, find_version
 from lib.connection_rate import ConnectionRate, Throttle
 from lib.package_files import PackageFile, close_package, open_package
 
@@ -36,11 +36,12 @@ SINGLE_RANGE = re.compile(r"bytes=[ \t]*(\d{0,18})-(\d{0,18})[ \t]*", re.IGNOREC
 MAX_HEADER_BYTES = 16384
 READ_BUFFER_BYTES = 65536  # per connection
 WAIT_SECONDS = 0.2
-HEADERS = {"Cache-Control": "no-cache", "Referrer-Policy": "no-referrer", "X-Content-Type-Options": "nosniff"}
+HEADERS = {"Referrer-Policy": "no-referrer", "X-Content-Type-Options": "nosniff"}
+IMMUTABLE = "max-age=31536000, immutable"  # of URLs that name their content
 SHARED_HEADERS = HEADERS | {
     "Access-Control-Allow-Origin": "*",
     "Access-Control-Allow-Methods": "GET, HEAD",
-    "Access-Control-Allow-Headers": "Range, If-Range",
+    "Access-Control-Allow-Headers": "Range, If-Range, Cache-Control",
     "Access-Control-Expose-Headers": "Accept-Ranges, Content-Range, Content-Length, ETag",
     "Access-Control-Max-Age": "86400",
     "Cross-Origin-Resource-Policy": "cross-origin",
@@ -105,6 +106,7 @@ class PackageHandler(RequestHandler):
         is_compressed = file.compressed is not None and "gzip" in self.request.headers.get("Accept-Encoding", "")
         tag = f'"{file.digest[:32]}{"-gzip" if is_compressed else ""}"'
         self.set_header("ETag", tag)
+        self.set_header("Cache-Control", IMMUTABLE if self.request.query == find_version(file.digest) else "no-cache")
         self.set_header("Content-Type", file.content_type)
         if file.compressed is not None:
             self.set_header("Vary", "Accept-Encoding")

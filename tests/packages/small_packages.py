@@ -3,7 +3,9 @@
 import hashlib
 import io
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from PIL import Image
@@ -13,13 +15,16 @@ from farfield.addon.core.packages.increments import Increments, decode_increment
 from farfield.addon.core.packages.manifest import MANIFEST, MESH, TEXTURES, Manifest, MeshLevel, PackageMaterial, Section, encode_manifest
 from farfield.addon.core.packages.mesh.coding import encode_mesh
 from farfield.addon.core.packages.mesh.order import order_mesh
-from farfield.addon.core.packages.planning import ErrorModel
+from farfield.addon.core.packages.planning import ErrorModel, find_state_pixels
 from farfield.addon.core.packages.settings import PackageSettings
+from farfield.addon.core.packages.shading import Shading
 from farfield.addon.core.packages.textures.building import build_textures
 from farfield.addon.core.packages.textures.texture_tiles import TextureSource
 from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.core.texmesh.simplification.levels import simplify_by_cost
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
+
+UNLIT = Shading(is_unlit=True)
 
 
 def write_opaque_package(folder: Path, seed: int = 0, mesh_size: int = 5000, textures_size: int = 20000) -> Manifest:
@@ -44,6 +49,7 @@ def write_opaque_package(folder: Path, seed: int = 0, mesh_size: int = 5000, tex
         checksums=nothing,
         first_increment=start,
         errors=ErrorModel((0.1,), (0.1,), 2.0),
+        state_pixels=(0.0,),
         time_limit=5.0,
         pixels=512.0,
     )
@@ -66,14 +72,19 @@ def write_textured_package(
     tile_size: int = 128,
     time_limit: float = 4.0,
     mirrors: tuple[str, ...] = (),
+    maps: Mapping[str, np.ndarray] = MappingProxyType({}),
+    shading: Shading = UNLIT,
+    opacity: float = 1.0,
 ) -> Manifest:
     """Write a package of `mesh` with levels of `percents` of its triangles, finest first. images: (H, W, 3) uint8, sRGB, row 0 at the top,
-    the base color of each material."""
+    the base color of each material. maps: further images by role, which all materials have. shading, opacity: of all materials."""
     targets = [len(mesh.triangles) * percent // 100 for percent in percents]
     result = run_to_end(simplify_by_cost(mesh, None, targets, TexmeshSettings(vertices="original")))
     ordered = order_mesh(mesh, result.levels, result)
-    mesh_content, levels, bounds, uv_bounds = encode_mesh(ordered, (0.0,) * len(ordered.levels), len(images))
+    mesh_content, levels, bounds, uv_bounds = encode_mesh(ordered, _level_pixels(len(ordered.levels)), len(images))
     sources = [TextureSource("base_color", image[::-1], mesh, (index,)) for index, image in enumerate(images)]
+    sources += [TextureSource(role, image[::-1], mesh, tuple(range(len(images)))) for role, image in maps.items()]
+    shared = {role: len(images) + index for index, role in enumerate(maps)}
     built = run_to_end(build_textures(sources, PackageSettings(tile_size=tile_size, quality=90), 67.0, views=4))
     sizes, ends = built.increments.sizes, np.cumsum(built.increments.sizes)
     table = encode_increments(built.increments)
@@ -88,13 +99,17 @@ def write_textured_package(
         uv_bounds=uv_bounds,
         steps=(65535, 65535),
         levels=levels,
-        materials=tuple(PackageMaterial(f"paint {index}", (1.0,) * 4, {"base_color": index}, False) for index in range(len(images))),
+        materials=tuple(
+            PackageMaterial(f"paint {index}", (1.0, 1.0, 1.0, opacity), {"base_color": index, **shared}, False, shading)
+            for index in range(len(images))
+        ),
         textures=built.textures,
         increment_count=len(sizes),
         increments=Section(0, len(table), zlib.crc32(table)),
         checksums=Section(len(table), len(checksums), zlib.crc32(checksums)),
         first_increment=len(table) + len(checksums),
-        errors=_model_errors(len(levels), built.flips),
+        errors=_model_errors(len(levels), built.flips[:, 0]),
+        state_pixels=find_state_pixels(built.flips, 512, 0.01),
         time_limit=time_limit,
         pixels=512.0,
     )
@@ -132,6 +147,11 @@ def painted_image(width: int, height: int, seed: int = 0) -> np.ndarray:
 
 def _describe(content: bytes) -> tuple[int, str]:
     return len(content), hashlib.sha256(content).hexdigest()
+
+
+def _level_pixels(count: int) -> tuple[float, ...]:
+    """Return sizes up to which levels look like the next finer one."""
+    return (*(100.0 * 2**level for level in range(count - 1)), 0.0)
 
 
 def _model_errors(levels: int, flips: np.ndarray) -> ErrorModel:

@@ -96,8 +96,18 @@ def test_same_texture_has_no_error_and_noise_has_less_from_afar(role):
     image = soft_image(128)
     noisy = np.clip(image + np.random.default_rng(1).normal(0.0, 25.0, image.shape), 0, 255).astype(np.uint8)
     near, far = make_errors(role, image, 1.0), make_errors(role, image, 8.0)
-    assert near.measure(image, 0).max() < 1e-6
-    assert 0.0 < far.measure(noisy, 0).sum() < 0.7 * near.measure(noisy, 0).sum()
+    assert near.measure(image, 0)[0].max() < 1e-6
+    assert 0.0 < far.measure(noisy, 0)[0].sum() < 0.7 * near.measure(noisy, 0)[0].sum()
+
+
+@pytest.mark.parametrize("role", ["base_color", "alpha", "normal"])
+def test_errors_in_smaller_images_are_those_of_larger_footprints(role):
+    image = soft_image(128)
+    noisy = np.clip(image + np.random.default_rng(1).normal(0.0, 25.0, image.shape), 0, 255).astype(np.uint8)
+    found = make_errors(role, image, 1.0).measure(noisy, 0).sum(axis=(1, 2))
+    expected = [make_errors(role, image, footprint).measure(noisy, 0)[0].sum() for footprint in (1.0, 2.0, 4.0, 8.0)]
+    np.testing.assert_allclose(found, expected)
+    assert (np.diff(found) < 0.0).all()
 
 
 def test_coarse_texture_is_as_good_from_afar():
@@ -105,10 +115,10 @@ def test_coarse_texture_is_as_good_from_afar():
     coarse = encode_bytes("base_color", build_mipmaps(to_values("base_color", image)).level(2))
     sharpened = sharpen_for_enlarging(coarse[None])[0]
     errors = make_errors("base_color", image, 8.0)
-    assert errors.measure(sharpened, 2).sum() < min(0.02, 0.9 * errors.measure(coarse, 2).sum())
+    assert errors.measure(sharpened, 2)[0].sum() < min(0.02, 0.9 * errors.measure(coarse, 2)[0].sum())
     sharp = np.where(np.indices((128, 128)).sum(axis=0)[..., None] % 8 < 4, np.uint8(20), np.uint8(230)).repeat(3, axis=2)
     coarse = encode_bytes("base_color", build_mipmaps(to_values("base_color", sharp)).level(2))
-    assert make_errors("base_color", sharp, 1.0).measure(coarse, 2).sum() > 0.2
+    assert make_errors("base_color", sharp, 1.0).measure(coarse, 2)[0].sum() > 0.2
 
 
 @pytest.mark.parametrize("levels", [1, 2, 4])

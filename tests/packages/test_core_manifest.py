@@ -44,6 +44,7 @@ def make_manifest() -> Manifest:
         checksums=Section(20, 12, 8),
         first_increment=32,
         errors=ErrorModel((0.3, 0.0), (0.25, 0.05), 2.0),
+        state_pixels=(100.0, 0.0),
         time_limit=5.0,
         pixels=512.0,
     )
@@ -98,7 +99,7 @@ def test_contradictions_are_refused(change):
 def test_newer_version_is_refused():
     content = json.loads(encode_manifest(make_manifest()))
     with pytest.raises(FileError, match="update Farfield"):
-        decode_manifest(json.dumps(content | {"version": 4}).encode())
+        decode_manifest(json.dumps(content | {"version": 5}).encode())
 
 
 @pytest.mark.parametrize(
@@ -196,7 +197,7 @@ def test_damaged_json_is_refused_or_still_a_manifest(data):
 
 @given(st.recursive(st.none() | st.booleans() | st.floats() | st.text(), lambda item: st.lists(item) | st.dictionaries(st.text(), item)))
 def test_other_json_is_refused(value):
-    for content in (value, {"format": "farfield-package", "version": 3, "levels": value}):
+    for content in (value, {"format": "farfield-package", "version": 4, "levels": value}):
         with pytest.raises(FileError):
             decode_manifest(json.dumps(content).encode())
 

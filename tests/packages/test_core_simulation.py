@@ -172,6 +172,7 @@ def make_manifest(increments: Increments) -> Manifest:
         checksums=Section(1000, 4 * len(increments.sizes), 0),
         first_increment=3000,
         errors=ErrorModel((0.2, 0.0), (0.25, 0.2, 0.02), 2.0),
+        state_pixels=(50.0, 60.0, 0.0),
         time_limit=5.0,
         pixels=512.0,
     )

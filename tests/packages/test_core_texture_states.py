@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from farfield.addon.core.packages.manifest import MAX_STATES, PackageTexture
 from farfield.addon.core.packages.textures.best_state import measure_error, measure_size
 from farfield.addon.core.packages.textures.coding import COMPLETE, VARIANTS, CodedTexture
+from farfield.addon.core.packages.textures.texture_errors import SMALLER_SIZES
 from farfield.addon.core.packages.textures.tile_states import choose_states
 from farfield.addon.core.packages.tile_pyramid import TilePyramid
 
@@ -29,6 +30,7 @@ def make_coded(shapes, sizes, errors):
         {},
         [np.broadcast_to(row[:, None, None], (len(row), *shape)) for row, shape in zip(all_sizes, pyramid.shapes, strict=True)],
         np.broadcast_to(all_errors[..., None, None] / (grid[0] * grid[1]), (*all_errors.shape, *grid)),
+        np.zeros((SMALLER_SIZES, *all_errors.shape, *grid)),
     )
 
 

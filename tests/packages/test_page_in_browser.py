@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from scipy import ndimage
 pytest.importorskip("tornado")
 
 from reference.mesh_decoding import decode_level, dequantize
+from reference.streaming_state import find_target
 from small_packages import decode_textures, painted_image, write_files, write_textured_package
 
 from chromium import SKIP_REASON, Page, find_chromium, run_chromium
@@ -27,9 +29,10 @@ from farfield.addon.core.imaging.mipmaps import build_mipmaps, measure_footprint
 from farfield.addon.core.imaging.raster import locate_pixels
 from farfield.addon.core.packages.files import read_page
 from farfield.addon.core.packages.manifest import MESH, TEXTURES, Manifest
+from farfield.addon.core.packages.shading import Shading
 from lib.connection_rate import ConnectionRate
 from lib.package_server import run_server
-from textured_models import torus
+from textured_models import plane, torus
 
 pytestmark = [
     pytest.mark.once,
@@ -39,6 +42,7 @@ pytestmark = [
 LINE = ConnectionRate(((1.0, 250_000.0),), latency=0.02)  # 2 Mbit/s
 TRIES = 6  # Times are measured so often: the machine does other work meanwhile.
 FINISHED = "window.farfield?.isFinished"
+STATUS = "document.getElementById('status')?.textContent"
 MISSING = "(({ bytes, total }) => total - bytes)(farfield.loader.measures)"
 
 
@@ -127,16 +131,106 @@ def test_something_is_shown_soon_and_all_within_limit(page, tmp_path):
     assert all(request.startswith((url, "data:")) for request in page.requests)
 
 
-def test_refining_goes_on_after_limit(page, package):
+def test_limit_is_for_the_first_picture_and_refining_goes_on(page, package):
     folder, manifest = package
     with run_server(folder, connection=ConnectionRate(((5.0, 20_000.0), (1.0, 200_000.0)))) as url:
-        page.open(url)
-        page.wait_for(FINISHED)
+        page.open(url, 1600, 1200)
+        page.wait_for("window.farfield?.loader?.picture")
         assert page.evaluate(f"{MISSING} > 0")
-        page.evaluate("document.getElementById('refine').click()")
         page.wait_for(f"{FINISHED} && {MISSING} === 0")
         assert page.evaluate("farfield.loader.shown") == len(manifest.levels) - 1
-        assert page.evaluate("document.getElementById('status').textContent") == "Complete."
+        assert page.evaluate(STATUS) == "Complete."
+        assert abs(page.evaluate("farfield.loader.measures.deviation")) < 1.0
+    with run_server(folder, connection=ConnectionRate(((5.0, 20_000.0),))) as url:
+        page.open(url, 1600, 1200)
+        page.wait_for("window.farfield?.loader")
+        page.evaluate("refine.click()")
+        page.wait_for(FINISHED)
+        assert page.evaluate(f"[{MISSING} > 0, {STATUS}]") == [True, "Stopped at the time limit."]
+
+
+def test_size_on_screen_decides_what_is_loaded(page, package):
+    folder, manifest = package
+    read = "[farfield.loader.target, farfield.loader.shown, farfield.loader.measures.bytes]"
+    with run_server(folder) as url:
+        sizes = []
+        for width, scale in ((128, 1.0), (64, 2.0), (256, 1.0)):
+            page.open(url, width, width, scale=scale)
+            page.wait_for(FINISHED)
+            target, level, received = page.evaluate(read)
+            expected = find_target(manifest, width * scale)
+            assert (tuple(target), level) == (expected, expected[0])
+            assert page.evaluate(f"[{STATUS}, {MISSING}]") == ["Complete for this size on screen.", 0]
+            sizes.append(received)
+        assert sizes[0] == sizes[1] < sizes[2]
+        assert find_target(manifest, 128) < find_target(manifest, 256) < (len(manifest.levels) - 1, manifest.state_count - 1)
+        page.call("Emulation.setDeviceMetricsOverride", width=640, height=640, deviceScaleFactor=1, mobile=False)
+        page.wait_for(f"{FINISHED} && farfield.loader.target[1] >= {find_target(manifest, 640)[1]}")
+        page.evaluate("farfield.orbit.set({zoom: 20})")
+        page.wait_for(f"{FINISHED} && {STATUS} === 'Complete.'")
+        assert page.evaluate(read)[:2] == [[len(manifest.levels) - 1, manifest.state_count - 1], len(manifest.levels) - 1]
+
+
+def test_another_visit_asks_for_nothing_that_has_come(page, package):
+    with run_server(package[0]) as url:
+        page.open(url)
+        page.wait_for(FINISHED)
+        before = read_capture(page)
+        assert any(".bin?" in request for request in page.requests)
+        page.wait_for("caches.open('farfield-packages').then((cache) => cache.keys()).then((keys) => keys.length)")
+        page.open(url, keeps_storage=True)
+        page.wait_for(FINISHED)
+        assert not any(".bin" in request for request in page.requests)
+        np.testing.assert_array_equal(read_capture(page), before)
+        page.evaluate("farfield.orbit.set({zoom: 20})")
+        page.wait_for(f"{FINISHED} && {STATUS} === 'Complete.'")
+        assert any(".bin" in request for request in page.requests)
+
+
+def flat_image(*values: int) -> np.ndarray:
+    return np.full((64, 64, 3), values, np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("maps", "shading", "opacity", "expected"),
+    [
+        ({"occlusion": flat_image(0)}, Shading(), 1.0, (0, 0, 0, 255)),
+        ({"occlusion": flat_image(0), "emission": flat_image(128)}, Shading(emission=(1.0, 0.0, 0.0)), 1.0, (128, 0, 0, 255)),
+        ({"alpha": flat_image(128)}, Shading(alpha_mode="blend"), 0.5, (None, None, None, 64)),
+        ({"alpha": flat_image(128)}, Shading(alpha_mode="mask", alpha_cutoff=0.6), 1.0, (0, 0, 0, 0)),
+        ({"alpha": flat_image(128)}, Shading(alpha_mode="mask", alpha_cutoff=0.4), 1.0, (None, None, None, 255)),
+        ({"alpha": flat_image(128)}, Shading(is_unlit=True), 1.0, (200, 100, 50, 255)),
+    ],
+)
+def test_maps_are_drawn(page, tmp_path, maps, shading, opacity, expected):
+    write_textured_package(tmp_path, plane(8, 8), [flat_image(200, 100, 50)], maps=maps, shading=shading, opacity=opacity)
+    with run_server(tmp_path) as url:
+        page.open(url)
+        page.wait_for(FINISHED)
+        found = read_capture(page)
+    center = found[220:260, 300:340].reshape(-1, 4).astype(float)
+    for channel, value in enumerate(expected):
+        assert value is None or np.abs(np.median(center[:, channel]) - value) <= 3.0, (channel, center.mean(axis=0))
+
+
+def test_light_of_rough_and_metallic_surfaces(page, tmp_path):
+    """The right half of a plane is smooth metal, or metal beside plastic. A metal has no matte part, but reflects in its color."""
+    half = np.zeros((64, 64, 3), np.uint8)
+    half[:, 32:] = 255
+    sides, square = {}, plane(8, 8)
+    square = replace(square, uvs=square.uvs * 12.5)
+    for name, map_ in (("roughness", 255 - half // 255 * 250), ("metallic", half)):
+        shading = Shading(roughness=1.0 if name == "roughness" else 0.3, metallic=1.0)
+        write_textured_package(tmp_path / name, square, [flat_image(220, 40, 40)], maps={name: map_}, shading=shading)
+        with run_server(tmp_path / name) as url:
+            page.open(url)
+            page.wait_for(FINISHED)
+            found = read_capture(page)[..., :3].astype(float)
+        sides[name] = [found[230:250, columns].reshape(-1, 3).mean(axis=0) for columns in (slice(240, 260), slice(380, 400))]
+    rough, smooth = sides["roughness"]
+    assert np.abs(rough - smooth).max() > 10.0
+    plastic, metal = sides["metallic"]
+    assert metal[1] / metal[0] < plastic[1] / plastic[0]
 
 
 @pytest.fixture(scope="module")
@@ -145,7 +239,8 @@ def shown(page, package) -> Iterator[Page]:
     with run_server(package[0]) as url:
         page.open(url)
         page.wait_for(FINISHED)
-        page.evaluate("document.querySelector('main').hidden = true")
+        page.evaluate("document.querySelector('main').hidden = true; farfield.orbit.set({zoom: 20})")
+        page.wait_for(f"{FINISHED} && {STATUS} === 'Complete.'")
         yield page
 
 
@@ -208,7 +303,7 @@ def test_damage_is_found_and_repaired_from_mirror(page, package, tmp_path):
             page.open(url)
             page.wait_for(FINISHED)
             assert page.evaluate("farfield.loader.shown") == len(manifest.levels) - 1
-            assert {request[: len(url)] for request in page.requests if request.endswith(".bin")} <= {url, mirror[: len(url)]}
+            assert {request[: len(url)] for request in page.requests if ".bin?" in request} <= {url, mirror[: len(url)]}
             assert any(request.startswith(mirror) for request in page.requests)
 
 
@@ -216,7 +311,7 @@ def test_other_servers_and_packages(page, package, tmp_path):
     folder, manifest = package
     files = {name: (folder / name).read_bytes() for name in ("manifest.json", MESH, TEXTURES)}
     write_files(tmp_path / "whole", files | read_page())
-    write_files(tmp_path / "newer", {"manifest.json": re.sub(rb'"version":3\b', b'"version":4', files["manifest.json"])})
+    write_files(tmp_path / "newer", {"manifest.json": re.sub(rb'"version":4\b', b'"version":5', files["manifest.json"])})
     lie = files["manifest.json"].replace(b'"mesh.bin":[', b'"mesh.bin":[1')
     write_files(tmp_path / "lying", files | {"manifest.json": lie})
     write_files(tmp_path / "incomplete", {name: files[name] for name in ("manifest.json", MESH)})
@@ -225,12 +320,9 @@ def test_other_servers_and_packages(page, package, tmp_path):
         page.wait_for(FINISHED)
         assert "whole files only" in page.evaluate("document.getElementById('status')?.textContent")
         assert page.evaluate("[farfield.loader.shown, farfield.loader.passed]") == [len(manifest.levels) - 1, manifest.increment_count]
-        for name, message in (("newer", "version 4"), ("lying", "is damaged"), ("incomplete", "404"), ("missing", "cannot be loaded")):
+        for name, message in (("newer", "version 5"), ("lying", "is damaged"), ("incomplete", "404"), ("missing", "cannot be loaded")):
             page.open(f"{url}whole/?package=../{name}")
             page.wait_for(f"document.getElementById('status')?.textContent.includes('{message}')")
-
-
-STATUS = "document.getElementById('status')?.textContent"
 
 
 def test_the_page_asks_no_server_but_its_own_and_the_mirrors(page, package, tmp_path):
@@ -283,7 +375,7 @@ def run_static_server(
             if files is None:
                 super().do_GET()
                 return
-            name = self.path.strip("/") or "index.html"
+            name = self.path.split("?")[0].strip("/") or "index.html"
             content = gzip.compress(files.get(name, b"")) if is_compressing else files.get(name, b"")
             self.send_response(200 if name in files else 404)
             self.send_header("Content-Type", script_type if name.endswith(".js") else self.guess_type(name))

@@ -1,6 +1,7 @@
 """The page's files: no requests elsewhere, labels, size, and modules that agree with Python."""
 
 import gzip
+import hashlib
 import json
 import re
 import shutil
@@ -19,7 +20,7 @@ from farfield.addon.core.packages.increments import Increments, encode_increment
 from farfield.addon.core.packages.manifest import encode_manifest
 from farfield.addon.core.packages.tile_pyramid import TilePyramid
 
-MAX_BYTES = 24_000  # Size of all files, each compressed.
+MAX_BYTES = 28_000  # Size of all files, each compressed.
 needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed, so modules of the page are not run")
 
 
@@ -126,8 +127,15 @@ def test_page_refuses_manifests_that_make_no_sense(tmp_path):
 def test_page_names_files_that_exist():
     page = read_page()
     tags = Tags(page["index.html"].decode()).found
-    named = {value for _, attributes in tags for name, value in attributes.items() if name in ("src", "href") and value != "data:,"}
+    links = [value for _, attributes in tags for name, value in attributes.items() if name in ("src", "href") and value != "data:,"]
+    named = {value.split("?")[0] for value in links}
     assert named | {"index.html"} == set(page)
+
+
+def test_urls_name_the_content_of_script_and_style():
+    page = read_page()
+    for name in ("main.js", "style.css"):
+        assert f'"{name}?{hashlib.sha256(page[name]).hexdigest()[:16]}"' in page["index.html"].decode()
 
 
 def test_all_modules_are_joined_and_preloaded():
@@ -287,7 +295,7 @@ def test_page_knows_which_bytes_have_come(tmp_path):
     parts = [(int(start), int(size)) for start, size in zip(random.integers(0, 900, 60), random.integers(1, 40, 60), strict=True)]
     code = """
       const { PartialFile } = await import(page + "network.js");
-      const file = new PartialFile("mesh.bin", 1000);
+      const file = new PartialFile("mesh.bin", [1000, "00"]);
       return value.map(([start, size]) => {
         file.put(start, Uint8Array.from({ length: size }, (_, i) => (start + i) % 251));
         const sections = [[0, 30], [start, size], [100, 400], [950, 0], [990, 30]];

@@ -6,13 +6,15 @@ import bpy
 import numpy as np
 
 from ...core.imaging.colors import LINEAR_OF_BYTE, encode_signed_srgb
+from ...core.packages.textures.texture_errors import COLOR_ROLES
 from ..imaging.color_spaces import SRGB, read_linear_pixels
 from ..imaging.images import check_pixels, read_pixels
+from ..shading.color_products import CHANNELS
+from ..shading.texture_uses import TextureUse
 from ..texmesh.color_images import MAX_SIDE as MAX_ANALYZED_SIDE
 from ..texmesh.color_images import read_color_image, scaled_copy
 
 MAX_SIDE = 8192  # pixels; larger images are scaled down
-MEAN = -1  # The mean of the channels instead of one of them.
 
 
 class PackageImages:
@@ -22,7 +24,7 @@ class PackageImages:
     """
 
     def __init__(self) -> None:
-        self._found: dict[tuple[str, str | int], np.ndarray] = {}
+        self._found: dict[tuple[str, str], np.ndarray] = {}
 
     def read_colors(self, image: bpy.types.Image) -> np.ndarray:
         """Return the colors (H, W, 3) uint8 of an image, sRGB-encoded, row 0 at the bottom."""
@@ -34,15 +36,15 @@ class PackageImages:
             return read_color_image(image)
         return LINEAR_OF_BYTE[self.read_colors(image)], False
 
-    def read_data(self, image: bpy.types.Image) -> np.ndarray:
-        """Return the values (H, W, 3) uint8 of an image that holds data."""
-        return self._keep(image, "data", _read_data)
+    def read_role(self, role: str, use: TextureUse) -> np.ndarray:
+        """Return the image (H, W, 3) uint8 that a material uses in a role of packages, row 0 at the bottom."""
+        if role in COLOR_ROLES:
+            return self.read_colors(use.image)
+        if role == "normal":
+            return self._keep(use.image, "data", _read_data)
+        return self._keep(use.image, use.channel, lambda image: _repeat_channel(self._keep(image, "data", _read_data), image, use.channel))
 
-    def read_channel(self, image: bpy.types.Image, channel: int) -> np.ndarray:
-        """Return a channel of an image that holds data, or their mean with MEAN, three times: (H, W, 3) uint8."""
-        return self._keep(image, channel, lambda source: _repeat_channel(self.read_data(source), channel))
-
-    def _keep(self, image: bpy.types.Image, kind: str | int, read: Callable[[bpy.types.Image], np.ndarray]) -> np.ndarray:
+    def _keep(self, image: bpy.types.Image, kind: str, read: Callable[[bpy.types.Image], np.ndarray]) -> np.ndarray:
         key = image.name_full, kind
         if key not in self._found:
             self._found[key] = read(image)
@@ -60,11 +62,18 @@ def _read_colors(image: bpy.types.Image) -> np.ndarray:
 def _read_data(image: bpy.types.Image) -> np.ndarray:
     check_pixels(image)
     with scaled_copy(image, MAX_SIDE) as source:
-        return _to_bytes(read_pixels(source)[..., :3])
+        return _to_bytes(read_linear_pixels(source)[..., :3])
 
 
-def _repeat_channel(pixels: np.ndarray, channel: int) -> np.ndarray:
-    values = np.rint(pixels.mean(axis=2)).astype(np.uint8) if channel == MEAN else pixels[..., channel]
+def _repeat_channel(pixels: np.ndarray, image: bpy.types.Image, channel: str) -> np.ndarray:
+    """Return a channel three times, or the mean of the colors. pixels: (H, W, 3) uint8 of the image."""
+    if channel in CHANNELS:
+        values = pixels[..., CHANNELS.index(channel)]
+    elif channel == "Alpha":
+        with scaled_copy(image, MAX_SIDE) as source:
+            values = _to_bytes(read_pixels(source)[..., 3])
+    else:
+        values = np.rint(pixels.mean(axis=2)).astype(np.uint8)
     return np.repeat(values[..., None], 3, axis=2)
 
 

@@ -26,6 +26,7 @@ IMPORT = re.compile(r'^import \{ ([^}]+) \} from "\./(\w+)\.js";$', re.MULTILINE
 # Texts, templates without further ones, and regular expressions that begin with ^ keep their spaces; others around signs mean nothing.
 KEPT = re.compile(r"""("(?:\\.|[^"\\\n])*"|`(?:\\.|[^`\\])*`|/\^[^\n]*?/(?=\.))""")
 SPACES = re.compile(r" *([,;{}()=?:&|<>*!\[\]]) *")
+VERSION_LENGTH = 16  # Digits of the SHA-256 in URLs.
 POLICY_SOURCES = "connect-src 'self'"  # in the page's Content Security Policy
 EXPORT = re.compile(r"^export ((?:async )?(?:function\*?|class|const) (\w+))", re.MULTILINE)
 
@@ -120,14 +121,27 @@ def _check_increments(manifest: Manifest, increments: Increments, textures: byte
 
 def read_page(mirrors: Sequence[str] = ()) -> dict[str, bytes]:
     """Return the files of the page by name, for a package with these mirrors: browsers let the page ask them and its own server, and no
-    others. Modules are joined to one, so that a browser waits for fewer responses; comments (` // ` begins one anywhere), indentation,
-    empty lines and spaces around signs are left out."""
+    others.
+
+    The URLs of script and style name their content, so that caches may keep them for ever. Modules are joined to one, so that a browser
+    waits for fewer responses; comments (` // ` begins one anywhere), indentation, empty lines and spaces around signs are left out."""
     index = re.sub(r'<link rel="modulepreload"[^\n]*\n', "", (PAGE_FOLDER / INDEX).read_text("utf-8"))
     index = index.replace(POLICY_SOURCES, " ".join([POLICY_SOURCES, *dict.fromkeys(find_origin(url) for url in mirrors)]))
     script = COMMENT.sub("", join_modules({path.stem: path.read_text("utf-8") for path in sorted(PAGE_FOLDER.glob("*.js"))}))
     script = "".join(part if number % 2 else SPACES.sub(r"\1", part) for number, part in enumerate(KEPT.split(script)))
-    texts = {INDEX: index, STYLE: (PAGE_FOLDER / STYLE).read_text("utf-8"), SCRIPT: script}
-    return {name: "".join(f"{line.strip()}\n" for line in text.splitlines() if line.strip()).encode() for name, text in texts.items()}
+    parts = {name: _shorten(text) for name, text in ((STYLE, (PAGE_FOLDER / STYLE).read_text("utf-8")), (SCRIPT, script))}
+    for name, content in parts.items():
+        index = index.replace(f'"{name}"', f'"{name}?{find_version(describe_file(content)[1])}"')
+    return {INDEX: _shorten(index), **parts}
+
+
+def find_version(digest: str) -> str:
+    """Return the query of the URL of a file with this SHA-256: a URL with it has the same content for ever."""
+    return digest[:VERSION_LENGTH]
+
+
+def _shorten(text: str) -> bytes:
+    return "".join(f"{line.strip()}\n" for line in text.splitlines() if line.strip()).encode()
 
 
 def join_modules(modules: dict[str, str]) -> str:

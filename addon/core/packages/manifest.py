@@ -23,9 +23,10 @@ import numpy as np
 from ..errors import FileError
 from ..files.file_access import exists, read_file
 from ..json_values import integer, numbers, parse_json, text
+from .shading import DEFAULT_SHADING, Shading, decode_shading
 from .tile_pyramid import TilePyramid
 
-FORMAT, VERSION = "farfield-package", 3
+FORMAT, VERSION = "farfield-package", 4
 MAX_MANIFEST_BYTES = 16 * 2**20
 MAX_FILE_BYTES = 2**40
 MAX_INCREMENTS = 2**20
@@ -38,7 +39,7 @@ MAX_STEPS = 65535  # Positions and texture coordinates are 16-bit numbers.
 MAX_TILES = 65536  # Tiles of one texture, as tile indices have 16 bits.
 MAX_STATES = 64  # States of textures; the controller of a page compares all.
 MIN_EXPONENT, MAX_EXPONENT = 1.0, 8.0  # Exponents with which errors combine.
-ROLES = ("base_color", "normal", "roughness", "metallic", "occlusion", "emission")
+ROLES = ("base_color", "alpha", "normal", "roughness", "metallic", "occlusion", "emission")
 
 
 @dataclass(frozen=True)
@@ -121,12 +122,14 @@ class PackageTexture:
 
 @dataclass(frozen=True)
 class PackageMaterial:
-    """A material. base_color: scene-linear RGBA, multiplied with the texture. textures: indices into those of the package, by role."""
+    """A material. base_color: scene-linear RGBA, multiplied with the textures. textures: indices into those of the package, by role.
+    shading: its other factors."""
 
     name: str
     base_color: tuple[float, float, float, float]
     textures: dict[str, int]
     is_double_sided: bool
+    shading: Shading = DEFAULT_SHADING
 
 
 @dataclass(frozen=True)
@@ -167,6 +170,7 @@ class Manifest:
         increment_count, increments, checksums: see `increments`.
         first_increment: offset of the first increment in textures.bin.
         errors: of levels and of states of the textures; without increments there is one state.
+        state_pixels: of each state, the size of the object in the image up to which it looks like the last one; 0 for the last one.
         time_limit: seconds.
         pixels: size of the object in the image that the errors are for.
     """
@@ -185,6 +189,7 @@ class Manifest:
     checksums: Section
     first_increment: int
     errors: ErrorModel
+    state_pixels: tuple[float, ...]
     time_limit: float
     pixels: float
 
@@ -257,6 +262,7 @@ def _to_manifest(values: dict[str, Any]) -> Manifest:
                 _finite(item["base_color"], 4),
                 {_text(role): _integer(index) for role, index in item["textures"].items()},
                 item["is_double_sided"] is True,
+                decode_shading(item["shading"]),
             )
             for item in values["materials"]
         ),
@@ -273,6 +279,7 @@ def _to_manifest(values: dict[str, Any]) -> Manifest:
         checksums=_to_section(values["checksums"]),
         first_increment=_integer(values["first_increment"]),
         errors=_to_errors(values["errors"]),
+        state_pixels=_finite(values["state_pixels"], len(values["state_pixels"])),
         time_limit=_finite([values["time_limit"]], 1)[0],
         pixels=_finite([values["pixels"]], 1)[0],
     )
@@ -361,6 +368,8 @@ def _check(manifest: Manifest) -> None:
     errors = manifest.errors
     if len(errors.levels) != len(manifest.levels) or not 1 <= manifest.state_count <= MAX_STATES:
         raise _contradiction("its errors do not fit to its levels")
+    if len(manifest.state_pixels) != manifest.state_count or min(manifest.state_pixels) < 0.0:
+        raise _contradiction("its sizes of states do not fit")
     if not all(_falls(values) for values in (errors.levels, errors.states)) or not MIN_EXPONENT <= errors.exponent <= MAX_EXPONENT:
         raise _contradiction("its errors rise, or are not possible")
     if manifest.time_limit <= 0.0 or manifest.pixels <= 0.0 or not np.all(np.less_equal(*manifest.bounds)):

@@ -23,7 +23,7 @@ from .manifest import MESH, TEXTURES, Manifest, MeshLevel, PackageMaterial, Sect
 from .material_sources import MaterialSource, build_color_mipmaps
 from .mesh.coding import Bounds, encode_mesh
 from .mesh.order import order_mesh
-from .planning import ErrorTable, PlanRow, make_plan, measure_errors
+from .planning import ErrorTable, PlanRow, find_state_pixels, make_plan, measure_errors
 from .settings import PackageSettings
 from .textures.building import BuiltTextures, build_textures
 from .textures.coding import decode_textures
@@ -32,6 +32,7 @@ from .textures.texture_tiles import TextureSource
 STATES = 6  # Errors of so many states of the textures are measured.
 MIN_BITS, MAX_BITS = 8, 16  # Bits of positions and texture coordinates.
 POSITION_BITS, UV_BITS = 4, 2  # below a pixel and a texel
+TEXTURE_SHARE = 0.5  # of the largest difference that is not seen; the rest is left to the mesh
 EncodedMesh = tuple[bytes, tuple[MeshLevel, ...], Bounds, Bounds]
 
 
@@ -102,7 +103,7 @@ def build_package(
     tasks = [_measure(chain, materials, built, references, settings, package_settings), _encode_in_steps(encode, chain)]
     table, coded = yield from subprogress(run_in_parallel(tasks), 0.75, 0.98)
     yield Progress(0.98, "Writing")
-    return _assemble(name, materials, references, chain, coded, steps, built, table, package_settings)
+    return _assemble(name, materials, references, chain, coded, steps, built, table, package_settings, settings.max_difference)
 
 
 def _encode_in_steps(encode: Callable[[LevelChain], EncodedMesh], chain: LevelChain) -> Steps[EncodedMesh]:
@@ -189,8 +190,9 @@ def _assemble(
     built: BuiltTextures,
     table: ErrorTable,
     settings: PackageSettings,
+    max_difference: float,
 ) -> Package:
-    """Return the files of the package and its manifest."""
+    """Return the files of the package and its manifest. max_difference: the largest mean FLIP difference that is not seen."""
     encoded = encode_increments(built.increments)
     checksums = built.increments.compute_checksums(built.content).tobytes()
     mesh_content, levels, bounds, uv_bounds = coded
@@ -204,7 +206,7 @@ def _assemble(
         steps=steps,
         levels=levels,
         materials=tuple(
-            PackageMaterial(material.name, material.base_color, dict(reference), material.is_double_sided)
+            PackageMaterial(material.name, material.base_color, dict(reference), material.is_double_sided, material.shading)
             for material, reference in zip(materials, references, strict=True)
         ),
         textures=built.textures,
@@ -212,7 +214,8 @@ def _assemble(
         increments=Section(0, len(encoded), zlib.crc32(encoded)),
         checksums=Section(len(encoded), len(checksums), zlib.crc32(checksums)),
         first_increment=len(encoded) + len(checksums),
-        errors=table.predict(built.flips),
+        errors=table.predict(built.flips[:, 0]),
+        state_pixels=find_state_pixels(built.flips, settings.pixels, TEXTURE_SHARE * max_difference),
         time_limit=settings.time_limit,
         pixels=float(settings.pixels),
     )

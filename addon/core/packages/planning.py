@@ -24,6 +24,7 @@ MAX_IMAGE = 512  # pixels of the renders: larger objects are seen in parts, and 
 VIEWS = 3
 MIN_ERROR = 1e-6  # smaller measured errors count as this, relative to others
 MIN_PREDICTED = 1e-3  # that matters in ratios of errors
+MIN_GROWTH = 1.5  # of errors when images become twice as large as those that were measured
 DECIMALS = 4  # Decimals of predicted errors.
 Textures = Sequence[Mipmaps | None]
 
@@ -114,6 +115,30 @@ def measure_errors(
     level_errors, texture_errors = (np.minimum.accumulate(errors) for errors in (level_errors, texture_errors))
     exponent, residual = _fit_exponent(np.array(samples).reshape(-1, 3))
     return ErrorTable(level_errors, np.asarray(states, np.int64), texture_errors, exponent, residual)
+
+
+def find_state_pixels(flips: np.ndarray, pixels: int, max_difference: float) -> tuple[float, ...]:
+    """Return for each state of the textures the size of the object in the image, in pixels, up to which it looks like the last one; 0 for
+    the last one, which is right at all sizes. Sizes never fall.
+
+    Args:
+        flips: (K, N), predicted errors of the states in images of `pixels` pixels, of half as many, and so on. Between these sizes errors
+            are interpolated by logarithms; beyond the largest one they are taken to grow as before, up to twice the size.
+    """
+    sizes = [float(pixels) / 2**halvings for halvings in range(flips.shape[1])][::-1]
+    excess = np.maximum(flips - flips[-1:], MIN_ERROR)[:-1, ::-1]
+    growth = np.maximum(excess[:, -1:] / excess[:, -2:-1], MIN_GROWTH)
+    logs = np.log2(np.concatenate([excess, excess[:, -1:] * growth], axis=1) / max_difference)
+    found = []
+    for row in logs:
+        step = int(np.argmax(row > 0.0)) if (row > 0.0).any() else len(row)
+        if step == 0:
+            found.append(sizes[0] * 2.0 ** -row[0])
+        elif step == len(row):
+            found.append(2.0 * sizes[-1])
+        else:
+            found.append(sizes[step - 1] * 2.0 ** (row[step - 1] / (row[step - 1] - row[step])))
+    return (*np.maximum.accumulate(np.round(found, 1)).tolist(), 0.0)
 
 
 def make_plan(errors: Sequence[Sequence[float]], mesh_sizes: Sequence[int], state_sizes: Sequence[int]) -> tuple[PlanRow, ...]:

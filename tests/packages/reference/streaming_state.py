@@ -147,6 +147,20 @@ def add_table(plan: TransferPlan, sizes: Sequence[int], firsts: Sequence[int], l
     return replace(plan, ends=tuple(ends), states=tuple(tuple(state) for state in states), sizes=tuple(totals), steps=rows)
 
 
+def find_target(manifest: Manifest, pixels: float) -> tuple[int, int]:
+    """Return the coarsest level and the first state of the textures that look right where the object has so many pixels in the image."""
+    sizes = [level.pixels for level in manifest.levels], manifest.state_pixels
+    level, state = (next((index for index, size in enumerate(items) if size >= pixels), len(items) - 1) for items in sizes)
+    return level, state
+
+
+def limit_plan(plan: TransferPlan, level: int, state: int) -> TransferPlan:
+    """Return `plan` up to a level and a state of the textures."""
+    count = state + 1
+    errors, steps = (tuple(row[:count] for row in rows) for rows in (plan.errors[: level + 1], plan.steps[:count]))
+    return replace(plan, levels=plan.levels[: level + 1], errors=errors, states=plan.states[:count], sizes=plan.sizes[:count], steps=steps)
+
+
 def begin(
     plan: TransferPlan, limit: float, rate: float | None = None, server_count: int = 1, patience: float = 0.0, keeps_refining: bool = False
 ) -> State:

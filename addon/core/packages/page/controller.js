@@ -2,6 +2,7 @@
 // the same function, explains it, and has the same arithmetic in the same order: both decide alike bit for bit, as a test checks.
 //
 //   let plan = buildPlan(manifest)      // the parsed manifest.json
+//   plan = limitPlan(plan, ...findTarget(manifest, pixels))      // after each of its changes; the limits may grow, not shrink
 //   let state = begin(plan, {limit, rate, servers, patience, keepsRefining})
 //   [state, requests, aborted] = decide(plan, state, {time, id, received, failed})
 //
@@ -54,6 +55,29 @@ export function addTable(plan, { sizes, firsts, lasts }) {
     }
   });
   return { ...plan, ends, states, sizes: totals, steps };
+}
+
+/** The coarsest level and the first state of the textures that look right where the object has so many pixels in the image. */
+export function findTarget({ levels, state_pixels: states }, pixels) {
+  return [levels.map((level) => level.pixels), states].map((sizes) => {
+    const index = sizes.findIndex((size) => size >= pixels);
+    return index < 0 ? sizes.length - 1 : index;
+  });
+}
+
+/** `plan` up to a level and a state of the textures. */
+export function limitPlan(plan, level, state) {
+  const limit = (items) => items.slice(0, state + 1);
+  const limited = { ...plan, levels: plan.levels.slice(0, level + 1), errors: plan.errors.slice(0, level + 1).map(limit) };
+  return plan.ends ? { ...limited, states: limit(plan.states), sizes: limit(plan.sizes), steps: limit(plan.steps).map(limit) } : limited;
+}
+
+/** `state` without what the browser has kept from another visit: intervals of both files. */
+export function takeKept(plan, state, mesh, textures) {
+  const pending = state.pending.flatMap(({ file, start, end }) =>
+    subtract([[start, end]], file === MESH ? mesh : textures).map(([first, last]) => ({ file, start: first, end: last })));
+  const begin = mesh.find(([start]) => start <= plan.levels[0].start);
+  return { ...state, pending, mesh: max(state.mesh, begin ? begin[1] : 0), requested: subtract(textures, [[0, plan.begin]]) };
 }
 
 /** The state before the first request. limit, patience: seconds; rate: bytes per second that the user's connection had before, or 0. */

@@ -1,12 +1,13 @@
 // Loads a package within a time limit: asks for what the controller decides, checks it, and passes on levels and tiles as they come.
 
 import { measure, subtract } from "./byte_intervals.js";
-import { addTable, begin, buildPlan, decide, estimateRate, isFinished, meanDifference } from "./controller.js";
+import { addTable, begin, buildPlan, decide, estimateRate, findTarget, isFinished, limitPlan, meanDifference, takeKept } from "./controller.js";
+import { ByteStore } from "./byte_store.js";
 import { decodeLevel, inflate } from "./mesh_decoding.js";
 import { crc32, DamageError, explain, openRange, PartialFile, Connection } from "./network.js";
 import { readIncrements, ROW_BYTES, TileDecoder } from "./tiles.js";
 
-const FORMAT = "farfield-package", VERSION = 3;
+const FORMAT = "farfield-package", VERSION = 4;
 const MESH = "mesh.bin", TEXTURES = "textures.bin";
 const REFERENCES = ["parents", "wedges", "uvs", "corners"], SECTIONS = [...REFERENCES, "positions"];
 const TICK_SECONDS = 0.05;
@@ -40,16 +41,17 @@ function checkManifest(manifest) {
     const isSize = (value, low = 0, high = MAX_FILE_BYTES) => Number.isInteger(value) && value >= low && value <= high;
     const areNumbers = (values, count) => values.length === count && values.every(Number.isFinite);
     const isBox = ([low, high], count) => areNumbers(low, count) && areNumbers(high, count);
-    const sizes = [MESH, TEXTURES].map((name) => manifest.files[name][0]);
+    const files = [MESH, TEXTURES].map((name) => manifest.files[name]), sizes = files.map(([size]) => size);
     const fits = ([offset, size], end) => isSize(offset) && isSize(size) && offset + size <= end;
-    const isFine = sizes.every((size) => isSize(size)) && isSize(first, 0, sizes[1]) && fits(manifest.increments, first) &&
+    const isFine = files.every(([size, digest]) => isSize(size) && /^\w*$/.test(digest)) && isSize(first, 0, sizes[1]) && fits(manifest.increments, first) &&
       isSize(manifest.increment_count, 0, Math.min(sizes[1] - first, MAX_INCREMENTS)) && levels.length && materials.length && manifest.time_limit > 0 &&
       levels.every((level) => SECTIONS.every((name) => fits(level[name], sizes[0])) && isSize(level.vertex_count) && isSize(level.wedge_count) &&
         level.triangle_counts.length === materials.length && level.triangle_counts.every((count) => isSize(count))) &&
       areNumbers(errors.levels, levels.length) && isSize(errors.states.length, 1, Math.min(Math.max(manifest.increment_count, 1), 64)) && areNumbers(errors.states, errors.states.length) && errors.exponent >= 1 &&
-      isBox(manifest.bounds, 3) && isBox(manifest.uv_bounds, 2) &&
+      areNumbers(manifest.state_pixels, errors.states.length) && isBox(manifest.bounds, 3) && isBox(manifest.uv_bounds, 2) &&
       areNumbers(manifest.steps, 2) && manifest.mirrors.every((url) => /^https?:$/.test(new URL(url).protocol)) &&
-      materials.every((material) => Object.values(material.textures).every((index) => textures[index])) &&
+      materials.every(({ textures: used, base_color: color, shading }) => Object.values(used).every((index) => textures[index]) && areNumbers(color, 4) &&
+        areNumbers(shading.emission, 3) && areNumbers([shading.roughness, shading.metallic, shading.normal_scale, shading.alpha_cutoff], 4)) &&
       textures.every(({ width, height, tile_size: side, headers }) => [width, height, side].every((value) => isSize(value, 1, MAX_SIDE)) &&
         Math.ceil(width / side) * Math.ceil(height / side) <= MAX_SIDE && headers.every((header) => /^(\w\w)+$/.test(header)));
     if (!isFine) throw new RangeError();
@@ -61,26 +63,61 @@ function checkManifest(manifest) {
 /** One run of loading a package.
  *
  * events: {level(mesh, counts, index), tile(texture, place, bitmap), problem(sentence)}, see `decodeLevel` and `TileDecoder`. options: {limit
- * (seconds), keepsRefining, rate (bytes per second that the connection had before, or 0), simulatedRate (bytes per second, or 0),
- * start (performance.now() in ms)}. */
+ * (seconds, for the first picture), refines (whether more is asked for after the limit, until the size on screen is served), pixels (the
+ * size of the object on screen), rate (bytes per second that the connection had before, or 0), simulatedRate (bytes per second, or 0),
+ * isNew (whether bytes that the browser keeps do not count), start (performance.now() in ms)}. */
 export class Loader {
   constructor(base, manifest, options, events) {
     const urls = [base, ...manifest.mirrors].map((url) => new URL(url, base));
     Object.assign(this, { urls, manifest, options, events, shown: -1, wanted: -1, exact: 0, passed: 0, tasks: 0, table: null,
-      isWhole: false, isStopped: false, isTableWanted: false, ended: 0, rate: 0 });
-    this.files = Object.fromEntries([MESH, TEXTURES].map((name) => [name, new PartialFile(name, manifest.files[name][0])]));
+      isWhole: false, isStopped: false, isTableWanted: false, ended: 0, rate: 0, picture: null, store: null });
+    this.files = Object.fromEntries([MESH, TEXTURES].map((name) => [name, new PartialFile(name, manifest.files[name])]));
     this.connection = new Connection(options.simulatedRate);
     this.requests = new Map(); // AbortControllers by id
     this.decoder = new TileDecoder(manifest, events.tile);
     this.meshes = [];
     this.work = Promise.resolve(); // sections are decoded one after the other
-    this.plan = buildPlan(manifest);
-    const { limit, rate, keepsRefining } = options;
-    this.state = begin(this.plan, { limit, rate, servers: urls.length, keepsRefining });
+    this.#setPlan(buildPlan(manifest), findTarget(manifest, options.pixels));
+    const { limit, rate } = options;
+    this.state = begin(this.plan, { limit, rate, servers: urls.length });
   }
 
-  /** Begin to load. */
-  start() {
+  /** Begin to load, with what the browser has kept. */
+  async start() {
+    if (!this.options.isNew && !this.options.simulatedRate) await this.#readKept().catch(() => {});
+    if (!this.isStopped) this.#run();
+  }
+
+  async #readKept() {
+    this.store = await ByteStore.open(this.urls[0]);
+    if (!this.store) return;
+    for (const file of Object.values(this.files)) await this.store.read(file);
+    this.state = takeKept(this.whole, this.state, this.files[MESH].intervals, this.files[TEXTURES].intervals);
+    this.#setPlan(this.whole, [Math.max(this.target[0], this.whole.levels.findIndex(({ end }) => end >= this.state.mesh)), this.target[1]]);
+    this.#pass();
+  }
+
+  /** Let the browser keep what is received. */
+  async keepReceived() {
+    if (!this.store || this.options.simulatedRate) return;
+    for (const file of Object.values(this.files)) await this.store.write(file).catch(() => {}); // it has no room
+  }
+
+  /** Load what an object with so many pixels on screen needs. Returns whether that is more than before. */
+  serve(pixels) {
+    const wanted = findTarget(this.manifest, pixels).map((index, i) => Math.max(index, this.target[i]));
+    if (wanted.every((index, i) => index === this.target[i])) return false;
+    this.#setPlan(this.whole, wanted);
+    if (!this.isStopped && this.timer) this.#run();
+    return true;
+  }
+
+  /** whole: the plan of the package. target: the level and the state of the textures that are needed. */
+  #setPlan(whole, target) {
+    Object.assign(this, { whole, target, plan: limitPlan(whole, ...target) });
+  }
+
+  #run() {
     clearInterval(this.timer);
     clearTimeout(this.alarm);
     this.alarm = setTimeout(() => this.#decide({}), Math.max(this.options.limit - this.time, 0) * 1000);
@@ -107,21 +144,28 @@ export class Loader {
     return isHere && !this.tasks && this.decoder.isIdle;
   }
 
-  /** Numbers to show: received bytes, those when the package is complete, bytes per second, seconds until the last response, deviation from
-   * the limit, Lambda of the paper. */
+  /** Numbers to show: received bytes, those when the size on screen is served, bytes per second, seconds until the last response before the
+   * limit, its deviation from the limit, Lambda of the paper. */
   get measures() {
     const [mesh, textures] = [MESH, TEXTURES].map((name) => this.files[name]), received = measure(textures.intervals);
     const bytes = measure(mesh.intervals) + received;
-    const left = this.plan.ends ? measure(subtract(this.plan.states.at(-1), textures.intervals)) : textures.size - received;
-    const ended = this.isWhole ? this.ended || this.time : this.state.ended;
+    let left = measure(subtract([[0, this.plan.levels.at(-1).end]], mesh.intervals));
+    left += this.plan.ends ? measure(subtract(this.plan.states.at(-1), textures.intervals)) : textures.size - received;
+    const ended = this.isWhole ? this.ended || this.time : (this.picture ?? this.state.ended);
     const rate = this.isWhole ? bytes / ended : this.rate;
-    return { bytes, total: mesh.size + received + left, rate, ended, deviation: ended - this.options.limit, difference: meanDifference(this.state) };
+    return { bytes, total: bytes + left, rate, ended, deviation: ended - this.options.limit, difference: meanDifference(this.state) };
   }
 
   /** Go on after the limit, or not. */
-  set keepsRefining(value) {
-    this.state = { ...this.state, keepsRefining: value };
-    this.start();
+  set refines(value) {
+    this.options.refines = value;
+    if (!value) this.state = { ...this.state, keepsRefining: false };
+    this.#run();
+  }
+
+  /** Whether everything of the package is received. */
+  get isComplete() {
+    return this.isWhole || this.target[0] === this.manifest.levels.length - 1 && this.target[1] === this.manifest.state_pixels.length - 1;
   }
 
   #decide(event) {
@@ -131,13 +175,18 @@ export class Loader {
     if (event.received) this.rate = this.urls.reduce((sum, _, index) => sum + estimateRate(this.state, index, 1), 0);
     for (const id of aborted) this.requests.get(id)?.abort();
     for (const request of requests) this.#send(request);
+    const { limit, refines } = this.options;
+    if (!refines || this.state.keepsRefining || this.time < limit || !isFinished(this.plan, this.state)) return;
+    this.picture = this.state.ended; // the first one; from here on in the background
+    this.state = { ...this.state, keepsRefining: true };
+    this.#decide({});
   }
 
   async #send({ id, server, file: name, start, end }) {
     const file = this.files[name], abort = new AbortController();
     this.requests.set(id, abort);
     try {
-      const { isWhole, parts } = await openRange(new URL(name, this.urls[server]), file, start, end, this.connection, abort.signal);
+      const { isWhole, parts } = await this.#open(file, server, start, end, abort.signal);
       if (isWhole && end - start < file.size) return await this.#takeWhole(file, parts, server, abort);
       this.#decide({ id, received: 0 });
       for await (const [offset, part] of parts) {
@@ -165,9 +214,13 @@ export class Loader {
     this.events.problem("This server sends whole files only, so the time limit cannot be kept.");
     await this.#keep(file, parts);
     const other = Object.values(this.files).find((item) => item !== file);
-    const url = new URL(other.name, this.urls[server]);
-    await this.#keep(other, (await openRange(url, other, 0, other.size, this.connection, abort.signal)).parts);
+    await this.#keep(other, (await this.#open(other, server, 0, other.size, abort.signal)).parts);
     this.ended = this.time;
+  }
+
+  #open(file, server, start, end, signal) {
+    const priority = this.state.keepsRefining ? "low" : "auto";
+    return openRange(file.locate(this.urls[server]), file, start, end, this.connection, { signal, priority, isOwn: !server });
   }
 
   async #keep(file, parts) {
@@ -215,7 +268,9 @@ export class Loader {
     const planes = await inflate(content, ROW_BYTES * this.manifest.increment_count);
     this.table = readIncrements(planes, this.manifest);
     this.table.isPassed = new Uint8Array(this.table.ends.length);
-    this.plan = addTable(this.plan, this.table);
+    const whole = addTable(this.whole, this.table);
+    const kept = whole.states.findLastIndex((state) => !subtract(state, this.state.requested).length); // of another visit
+    this.#setPlan(whole, [this.target[0], Math.max(this.target[1], kept)]);
     this.#passIncrements();
     this.#decide({});
   }
@@ -240,8 +295,8 @@ export class Loader {
     const [offset, size, expected] = section;
     for (let attempt = 0; crc32(file.read(section)) !== expected; attempt++) {
       if (attempt === this.urls.length) throw new DamageError(file.name);
-      const url = new URL(file.name, this.urls[this.urls.length - 1 - attempt]); // mirrors first: the damage came from somewhere
-      await this.#keep(file, (await openRange(url, file, offset, offset + size, this.connection, new AbortController().signal)).parts);
+      const server = this.urls.length - 1 - attempt; // mirrors first: the damage came from somewhere
+      await this.#keep(file, (await this.#open(file, server, offset, offset + size, new AbortController().signal)).parts);
     }
     return file.read(section);
   }

@@ -19,7 +19,10 @@ const first = fetchPackage(); // before all other work
 first.catch(() => {}); // `load` reports it
 const session = { start: 0, firstImage: null, problems: [] };
 
-const orbit = new Orbit(element("view"), requestDraw);
+const orbit = new Orbit(element("view"), () => {
+  serve();
+  requestDraw();
+});
 
 /** The URL of the folder of the package, null where the address names none. */
 function findPackage() {
@@ -30,6 +33,18 @@ function findPackage() {
   } catch {
     return null;
   }
+}
+
+/** Load what the size on screen needs. */
+function serve() {
+  if (!loader?.serve(findPixels())) return;
+  isSettled = false;
+  showStatus();
+}
+
+function findPixels() {
+  const { width, height } = element("view");
+  return orbit.pixels(width, height);
 }
 
 async function fetchPackage() {
@@ -52,6 +67,7 @@ function requestDraw() {
 function resize() {
   const canvas = element("view"), scale = Math.min(devicePixelRatio, 2);
   [canvas.width, canvas.height] = [canvas.clientWidth, canvas.clientHeight].map((side) => Math.max(Math.round(side * scale), 1));
+  serve();
   requestDraw();
 }
 
@@ -64,17 +80,17 @@ function showStatus(result = "") {
   element("status").textContent = [...session.problems, result].join(" ").trim();
 }
 
-/** Load the package from the beginning. coming: a promise of its manifest. */
-async function load(coming = fetchPackage(), start = performance.now()) {
+/** Load the package from the beginning. coming: a promise of its manifest. isNew: without what the browser keeps. */
+async function load(coming = fetchPackage(), start = performance.now(), isNew = true) {
   try {
-    await show(coming, start);
+    await show(coming, start, isNew);
   } catch (error) {
     loader?.stop();
     report(explain(error));
   }
 }
 
-async function show(coming, start) {
+async function show(coming, start, isNew) {
   loader?.stop();
   Object.assign(session, { start, firstImage: null, problems: [] });
   isSettled = false;
@@ -83,9 +99,10 @@ async function show(coming, start) {
   const manifest = await coming;
   fillChoices(manifest);
   const options = {
-    limit: Number(element("limit").value), keepsRefining: element("refine").checked, rate: readHistory(),
-    simulatedRate: Number(element("bandwidth").value), start,
+    limit: Number(element("limit").value), refines: element("refine").checked, pixels: findPixels(), rate: readHistory(),
+    simulatedRate: Number(element("bandwidth").value), isNew, start,
   };
+  orbit.frame(manifest.bounds);
   loader = new Loader(base, manifest, options, {
     level(mesh, counts, index) {
       levels[index] = { surface: buildSurface(mesh), counts };
@@ -103,7 +120,6 @@ async function show(coming, start) {
   document.title = element("name").textContent = manifest.name;
   renderer.start(manifest);
   if (renderer.isReduced) report("The graphics processor limits the resolution of textures.");
-  orbit.frame(manifest.bounds);
 }
 
 function fillChoices(manifest) {
@@ -142,8 +158,9 @@ function showMeasures() {
   element("deviation").textContent = `${deviation > 0 ? "+" : ""}${deviation.toFixed(2)} s`;
   element("deviation").title = `Mean difference between planned and actual times of requests: ${difference.toFixed(3)} s`;
   if (loader.decoder.failures) report(`${loader.decoder.failures} times, a tile of a texture could not be decoded.`);
-  if (!loader.options.simulatedRate) writeHistory(rate);
-  showStatus(bytes < total ? "Stopped at the time limit." : "Complete.");
+  if (!loader.options.simulatedRate && rate > 0) writeHistory(rate);
+  showStatus(bytes < total ? "Stopped at the time limit." : loader.isComplete ? "Complete." : "Complete for this size on screen.");
+  loader.keepReceived();
   requestDraw();
 }
 
@@ -202,7 +219,7 @@ element("light").addEventListener("change", ({ target }) => {
 });
 element("levels").addEventListener("change", showLevel);
 element("refine").addEventListener("change", ({ target }) => {
-  if (loader) loader.keepsRefining = target.checked;
+  if (loader) loader.refines = target.checked;
   isSettled = false;
   showStatus();
 });
@@ -211,7 +228,7 @@ for (const id of ["bandwidth", "limit"]) element(id).addEventListener("change", 
 setInterval(showMeasures, FRAME_MILLISECONDS);
 try {
   createRenderer(); // while the manifest comes, not later: nobody would notice the responses to the first requests in time
-  load(first, 0); // the user's wish began with the navigation to the page
+  load(first, 0, false); // the user's wish began with the navigation to the page
 } catch (error) {
   report(error.message);
 }

@@ -2,12 +2,18 @@
 
 import { insert } from "./byte_intervals.js";
 
+const VERSION_LENGTH = 16; // digits of the SHA-256, as in files.py
 const STEP_SECONDS = 0.02; // in which a simulated connection delivers bytes
 
 /** The received part of a file: its bytes, and their intervals [start, end) in ascending order. */
 export class PartialFile {
-  constructor(name, size) {
-    Object.assign(this, { name, size, bytes: null, intervals: [] });
+  constructor(name, [size, digest]) {
+    Object.assign(this, { name, size, version: digest.slice(0, VERSION_LENGTH), bytes: null, intervals: [] });
+  }
+
+  /** Its URL in the folder `base`. Contents have URLs of their own, so that caches may keep them for ever. */
+  locate(base) {
+    return new URL(`${this.name}?${this.version}`, base);
   }
 
   /** Keep `part`, which begins at `offset`. */
@@ -52,11 +58,13 @@ export class Connection {
   }
 }
 
-/** Ask for bytes [start, end) of `file` at `url`. Returns whether the server sends the whole file instead, because it does not know ranges,
+/** Ask for bytes [start, end) of `file` at `url`. options: {signal, isOwn (whether the server is that of the page), priority}. Returns whether the server sends the whole file instead, because it does not know ranges,
  * and `parts`, an iterator of [offset, bytes]. Both throw if the response fails, is too short, or is of a file of another size. */
-export async function openRange(url, file, start, end, connection, signal) {
-  // Browsers let requests for parts of one URL wait for each other where they may store them.
-  const response = await fetch(url, { headers: { Range: `bytes=${start}-${end - 1}` }, cache: "no-store", signal }).catch((error) => {
+export async function openRange(url, file, start, end, connection, { signal, isOwn = false, priority = "auto" }) {
+  // Browsers let requests for parts of one URL wait for each other where they may store them; `ByteStore` keeps the bytes instead. Caches on
+  // the way may answer: the URL names the content. Other servers need not allow the header that says so.
+  const headers = { Range: `bytes=${start}-${end - 1}`, ...(isOwn && { "Cache-Control": "max-age=31536000" }) };
+  const response = await fetch(url, { headers, cache: "no-store", priority, signal }).catch((error) => {
     signal.throwIfAborted();
     throw new Error(`${url} cannot be loaded. Its server may forbid other pages, or compress what it must send in ranges. (${error.message})`);
   });

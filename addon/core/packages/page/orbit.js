@@ -3,6 +3,7 @@
 const FIELD_OF_VIEW = 0.6; // radians, of the shorter side of the image
 const MAX_ELEVATION = 1.56; // radians
 const MIN_DISTANCE = 0.02, MAX_DISTANCE = 20; // times the distance that shows the whole object
+const NEAR = 0.5; // of the radius: how much nearer than the center surfaces are that views from near show
 const KEY_STEP = 0.1; // radians, or fraction of the distance
 const { sin, cos, tan, hypot, min, max, exp } = Math;
 
@@ -50,7 +51,17 @@ export class Orbit {
   }
 
   get distance() {
-    return (1.04 * this.radius) / sin(FIELD_OF_VIEW / 2) / this.zoom;
+    return this.#distanceAt(this.zoom);
+  }
+
+  /** The size of the object in an image of so many pixels, if all of it was as large as what is near. */
+  pixels(width, height) {
+    const reach = NEAR * this.radius;
+    return (min(width, height) * (this.#distanceAt(1) - reach)) / max(this.distance - reach, 1e-6 * reach);
+  }
+
+  #distanceAt(zoom) {
+    return (1.04 * this.radius) / sin(FIELD_OF_VIEW / 2) / zoom;
   }
 
   #turn(x, y) {

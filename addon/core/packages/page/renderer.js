@@ -1,11 +1,14 @@
-// Draws a textured mesh with WebGL 2: without light, as the texture is, or with a light at the viewer.
+// Draws a textured mesh with WebGL 2: without light, as the texture is, or with all maps of its materials in the light of a studio.
+
+import { FRAGMENT_SHADER, LIGHTS } from "./shading.js";
 
 const MIPMAP_SECONDS = 0.25, MIPMAP_FACTOR = 4; // between two updates of mipmaps while tiles come; also relative to the time for an image
 const MAX_TEXELS = 2 ** 26; // of a texture on the graphics processor; larger ones are halved
 const MAX_ANISOTROPY = 4;
-const GRAY = [0.216, 0.216, 0.216, 1], FLAT = [0.5, 0.5, 1, 1]; // what tiles show before they come: middle gray of sRGB, no relief
+const GRAY = [0.216, 0.216, 0.216, 1], FLAT = [0.5, 0.5, 1, 1], BLACK = [0, 0, 0, 1], WHITE = [1, 1, 1, 1];
+const INITIAL = { base_color: GRAY, normal: FLAT, metallic: BLACK, emission: BLACK }; // what tiles show before they come; others are white
 const COLOR_ROLES = ["base_color", "emission"]; // stored in sRGB
-const UNITS = { base_color: 0, normal: 1 }; // texture units of the roles that are drawn
+const ROLES = ["base_color", "alpha", "normal", "roughness", "metallic", "occlusion", "emission"]; // by texture unit
 
 const VERTEX_SHADER = `#version 300 es
 in vec3 position;
@@ -21,41 +24,6 @@ void main() {
   surfaceNormal = mat3(view) * normal;
   surfacePosition = (view * vec4(position, 1.0)).xyz;
   gl_Position = clip * vec4(position, 1.0);
-}`;
-
-const FRAGMENT_SHADER = `#version 300 es
-precision highp float;
-in vec2 surfaceUv;
-in vec3 surfaceNormal;
-in vec3 surfacePosition;
-uniform sampler2D colorTexture;
-uniform sampler2D normalTexture;
-uniform vec3 baseColor;
-uniform bool hasNormals;
-uniform bool isLit;
-out vec4 pixel;
-
-const float AMBIENT = 0.25; // fraction of the color that shows without light
-
-// Tangents from derivatives: vertices have none. v points down, the second axis of a normal map up.
-vec3 mapNormal(vec3 normal) {
-  vec3 px = dFdx(surfacePosition), py = dFdy(surfacePosition);
-  vec2 tx = dFdx(surfaceUv), ty = dFdy(surfaceUv);
-  vec3 a = cross(py, normal), b = cross(normal, px);
-  vec3 tangent = a * tx.x + b * ty.x, bitangent = a * tx.y + b * ty.y;
-  float scale = inversesqrt(max(max(dot(tangent, tangent), dot(bitangent, bitangent)), 1e-30));
-  vec3 mapped = texture(normalTexture, surfaceUv).xyz * 2.0 - 1.0;
-  return mapped.x * scale * tangent - mapped.y * scale * bitangent + mapped.z * normal;
-}
-
-void main() {
-  vec3 color = texture(colorTexture, surfaceUv).rgb * baseColor;
-  if (isLit) {
-    vec3 normal = normalize(gl_FrontFacing ? surfaceNormal : -surfaceNormal);
-    if (hasNormals) normal = normalize(mapNormal(normal));
-    color *= AMBIENT + (1.0 - AMBIENT) * max(dot(normal, normalize(-surfacePosition)), 0.0);
-  }
-  pixel = vec4(mix(1.055 * pow(color, vec3(1.0 / 2.4)) - 0.055, 12.92 * color, lessThanEqual(color, vec3(0.0031308))), 1.0);
 }`;
 
 export class Renderer {
@@ -87,7 +55,7 @@ export class Renderer {
       this.uniforms[name] = gl.getUniformLocation(this.program, name);
     }
     this.outdated = new Set(); // textures whose mipmaps are older than they are
-    this.white = this.#createTexture({ role: "base_color", width: 1, height: 1, tile_size: 1 }, [1, 1, 1, 1]);
+    this.white = this.#createTexture({ role: "normal", width: 1, height: 1, tile_size: 1 }, WHITE);
     this.mesh = null;
   }
 
@@ -98,7 +66,7 @@ export class Renderer {
       this.outdated.delete(texture);
     }
     Object.assign(this, { materials: manifest.materials, mesh: null, updated: -Infinity, pause: 0, fence: null });
-    this.textures = manifest.textures.map((description) => this.#createTexture(description, description.role === "normal" ? FLAT : GRAY));
+    this.textures = manifest.textures.map((description) => this.#createTexture(description, INITIAL[description.role] ?? WHITE));
   }
 
   /** Whether textures are smaller than in the package, because of the limits of the graphics processor. */
@@ -131,15 +99,15 @@ export class Renderer {
 
   /** Show `bitmap` as the part of a texture at a place, see `locateTile`, from now on. */
   setTile(index, { left, top, side }, bitmap) {
-    const { gl } = this, { texture, format, shift, width, height } = this.textures[index];
+    const { gl } = this, { texture, format, channels, shift, width, height } = this.textures[index];
     if (side === bitmap.width && !shift) {
       const size = [Math.min(side, width - left), Math.min(side, height - top)]; // without the padding
       gl.bindTexture(gl.TEXTURE_2D, texture);
-      gl.texSubImage2D(gl.TEXTURE_2D, 0, left, top, ...size, gl.RGBA, gl.UNSIGNED_BYTE, bitmap);
+      gl.texSubImage2D(gl.TEXTURE_2D, 0, left, top, ...size, channels, gl.UNSIGNED_BYTE, bitmap);
     } else {
       const coarse = gl.createTexture();
       gl.bindTexture(gl.TEXTURE_2D, coarse);
-      gl.texImage2D(gl.TEXTURE_2D, 0, format, gl.RGBA, gl.UNSIGNED_BYTE, bitmap);
+      gl.texImage2D(gl.TEXTURE_2D, 0, format, channels, gl.UNSIGNED_BYTE, bitmap);
       const frames = [[gl.READ_FRAMEBUFFER, coarse], [gl.DRAW_FRAMEBUFFER, texture]].map(([target, attached]) => {
         const frame = gl.createFramebuffer();
         gl.bindFramebuffer(target, frame);
@@ -181,27 +149,46 @@ export class Renderer {
     gl.enable(gl.DEPTH_TEST);
     gl.uniformMatrix4fv(uniforms.clip, false, clip);
     gl.uniformMatrix4fv(uniforms.view, false, view);
-    gl.uniform1i(uniforms.isLit, +this.isLit);
-    gl.uniform1i(uniforms.colorTexture, UNITS.base_color);
-    gl.uniform1i(uniforms.normalTexture, UNITS.normal);
+    ROLES.forEach((role, unit) => gl.uniform1i(uniforms[`${role}Map`], unit));
+    gl.uniform4fv(uniforms["lights[0]"], LIGHTS.flat());
     gl.bindVertexArray(this.mesh.array);
-    let first = 0;
-    this.mesh.counts.forEach((count, index) => {
-      const material = this.materials[index];
-      for (const [role, unit] of Object.entries(UNITS)) {
-        gl.activeTexture(gl.TEXTURE0 + unit);
-        gl.bindTexture(gl.TEXTURE_2D, (this.textures[material.textures[role]] ?? this.white).texture);
-      }
-      gl.activeTexture(gl.TEXTURE0);
-      gl.uniform1i(uniforms.hasNormals, +("normal" in material.textures));
-      gl.uniform3fv(uniforms.baseColor, material.base_color.slice(0, 3));
-      if (material.is_double_sided) gl.disable(gl.CULL_FACE);
-      else gl.enable(gl.CULL_FACE);
-      gl.drawElements(gl.TRIANGLES, 3 * count, gl.UNSIGNED_INT, 12 * first);
-      first += count;
+    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+    const parts = this.mesh.counts.map((count, index, counts) => {
+      return { count, first: counts.slice(0, index).reduce((sum, value) => sum + value, 0), material: this.materials[index] };
     });
+    const isBlended = ({ material }) => material.shading.alpha_mode === "blend";
+    for (const part of parts) if (!isBlended(part)) this.#drawPart(part, part.material.is_double_sided ? [0] : [gl.BACK]);
+    gl.enable(gl.BLEND);
+    gl.depthMask(false);
+    for (const part of parts) if (isBlended(part)) this.#drawPart(part, part.material.is_double_sided ? [gl.FRONT, gl.BACK] : [gl.BACK]);
+    gl.depthMask(true);
+    gl.disable(gl.BLEND);
     if (!this.fence) [this.fence, this.drawn] = [gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0), performance.now() / 1000];
     return !this.outdated.size;
+  }
+
+  /** Draw triangles of a material. passes: the faces to leave out in each, 0 for none. */
+  #drawPart({ count, first, material }, passes) {
+    const { gl, uniforms } = this, { shading } = material, modes = ["opaque", "mask", "blend"];
+    ROLES.forEach((role, unit) => {
+      gl.activeTexture(gl.TEXTURE0 + unit);
+      gl.bindTexture(gl.TEXTURE_2D, (this.textures[material.textures[role]] ?? this.white).texture);
+    });
+    gl.activeTexture(gl.TEXTURE0);
+    gl.uniform1i(uniforms.hasNormals, +("normal" in material.textures));
+    gl.uniform1i(uniforms.isLit, +(this.isLit && !shading.is_unlit));
+    gl.uniform1i(uniforms.alphaMode, modes.indexOf(shading.alpha_mode));
+    gl.uniform4fv(uniforms.baseColor, material.base_color);
+    gl.uniform4f(uniforms.factors, shading.roughness, shading.metallic, shading.normal_scale, shading.alpha_cutoff);
+    gl.uniform3fv(uniforms.emission, this.isLit ? shading.emission : [0, 0, 0]);
+    if (shading.alpha_mode === "mask") gl.enable(gl.SAMPLE_ALPHA_TO_COVERAGE);
+    for (const hidden of passes) {
+      if (hidden) gl.enable(gl.CULL_FACE);
+      else gl.disable(gl.CULL_FACE);
+      if (hidden) gl.cullFace(hidden);
+      gl.drawElements(gl.TRIANGLES, 3 * count, gl.UNSIGNED_INT, 12 * first);
+    }
+    gl.disable(gl.SAMPLE_ALPHA_TO_COVERAGE);
   }
 
   #updateMipmaps(isFinal) {
@@ -222,7 +209,8 @@ export class Renderer {
       [width, height] = [Math.max(width >> 1, 1), Math.max(height >> 1, 1)];
       shift++;
     }
-    const format = COLOR_ROLES.includes(description.role) ? gl.SRGB8_ALPHA8 : gl.RGBA8;
+    const isColor = COLOR_ROLES.includes(description.role), isVector = isColor || description.role === "normal";
+    const format = isColor ? gl.SRGB8_ALPHA8 : isVector ? gl.RGBA8 : gl.R8, channels = isVector ? gl.RGBA : gl.RED;
     const texture = gl.createTexture();
     gl.bindTexture(gl.TEXTURE_2D, texture);
     gl.texStorage2D(gl.TEXTURE_2D, Math.floor(Math.log2(Math.max(width, height))) + 1, format, width, height);
@@ -236,7 +224,7 @@ export class Renderer {
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.deleteFramebuffer(frame);
     this.outdated.add(texture);
-    return { texture, format, width, height, shift };
+    return { texture, format, channels, width, height, shift };
   }
 }
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..tile_pyramid import sum_tiles
 from .coding import CodedTexture
+from .texture_errors import SMALLER_SIZES
 
 
 class Choice(NamedTuple):
@@ -78,8 +79,17 @@ def measure_size(textures: Sequence[CodedTexture], state: Sequence[Choice]) -> i
 
 def measure_error(textures: Sequence[CodedTexture], state: Sequence[Choice]) -> float:
     """Return the predicted mean FLIP error of the object's pixels due to the textures in a state, or to those tiles of a part of one."""
-    error = 0.0
-    for choice in state:
-        covered = textures[choice.texture].pyramid.covered(choice.level, choice.row, choice.column)
-        error += float(textures[choice.texture].errors[(choice.level, choice.variant, *covered)].sum())
-    return error
+    return sum(float(textures[choice.texture].errors[_locate(textures, choice)].sum()) for choice in state)
+
+
+def measure_smaller_errors(textures: Sequence[CodedTexture], state: Sequence[Choice]) -> np.ndarray:
+    """Return the predicted errors (SMALLER_SIZES,) of a state where the object is smaller in the image, each time half as large."""
+    return sum(
+        (textures[choice.texture].smaller_errors[(slice(None), *_locate(textures, choice))].sum(axis=(1, 2)) for choice in state),
+        np.zeros(SMALLER_SIZES),
+    )
+
+
+def _locate(textures: Sequence[CodedTexture], choice: Choice) -> tuple:
+    """Return where the errors of a choice are in those of its texture."""
+    return choice.level, choice.variant, *textures[choice.texture].pyramid.covered(choice.level, choice.row, choice.column)

@@ -9,8 +9,9 @@ from ...jobs.progress import Steps, subprogress
 from ..increments import Increments
 from ..manifest import PackageTexture
 from ..settings import PackageSettings
-from .best_state import measure_error
+from .best_state import measure_error, measure_smaller_errors
 from .coding import CodedTexture, code_texture
+from .texture_errors import SMALLER_SIZES
 from .texture_tiles import TextureSource, check_source
 from .tile_states import choose_states, order_tiles
 from .visibility import measure_visibility
@@ -23,7 +24,8 @@ class BuiltTextures:
     """The textures of a package.
 
     textures: in the order of the sources. increments: in their order. content: the bytes of all increments, one after the other.
-    flips: (K,) float64, the predicted mean FLIP error of the object's pixels due to the textures in each state.
+    flips: (K, 1 + SMALLER_SIZES) float64, the predicted mean FLIP error of the object's pixels due to the textures in each state, and where
+    the object is half as large in the image, a quarter, and so on.
     """
 
     textures: tuple[PackageTexture, ...]
@@ -32,7 +34,7 @@ class BuiltTextures:
     flips: np.ndarray
 
 
-NO_TEXTURES = BuiltTextures((), Increments(*[np.zeros(0, np.int64)] * 6), b"", np.zeros(1))
+NO_TEXTURES = BuiltTextures((), Increments(*[np.zeros(0, np.int64)] * 6), b"", np.zeros((1, 1 + SMALLER_SIZES)))
 
 
 def build_textures(
@@ -88,5 +90,5 @@ def assemble_textures(coded: Sequence[CodedTexture]) -> BuiltTextures:
         ordered.firsts,
         ordered.lasts,
     )
-    flips = np.array([measure_error(coded, state) for state in states])
+    flips = np.array([[measure_error(coded, state), *measure_smaller_errors(coded, state)] for state in states])
     return BuiltTextures(tuple(item.texture for item in coded), increments, b"".join(tile.payload for tile in tiles), flips)

@@ -16,7 +16,7 @@ from ..manifest import PackageTexture
 from ..tile_pyramid import TilePyramid, sum_tiles
 from .avif_files import decode_tile, encode_tile
 from .enlarging import enlarge, sharpen_for_enlarging
-from .texture_errors import TextureErrors, encode_bytes, values_of_bytes
+from .texture_errors import SMALLER_SIZES, TextureErrors, encode_bytes, values_of_bytes
 from .texture_tiles import TextureSource, TileGrid, cut_tiles, fill_unused, find_used_texels, join_tiles
 from .visibility import BLOCK
 
@@ -60,6 +60,7 @@ class CodedTexture:
         sizes: for each level (V, R', C') bytes.
         errors: (L, V, R, C), of all tiles of level 0 if they are shown so: mean FLIP error of their pixels, times the fraction of all
             pixels of the object that they are; infinite where a level does not have the variant.
+        smaller_errors: (SMALLER_SIZES, L, V, R, C), the same where the object is smaller in the image, each time half as large.
     """
 
     texture: PackageTexture
@@ -68,6 +69,7 @@ class CodedTexture:
     tiles: dict[tuple[int, int, int], CodedTile]
     sizes: list[np.ndarray]
     errors: np.ndarray
+    smaller_errors: np.ndarray
 
     @cached_property
     def tile_errors(self) -> list[np.ndarray]:
@@ -97,7 +99,7 @@ def code_texture(
     del used
     mipmaps = build_mipmaps(image, values_of_bytes(source.role))
     judge = TextureErrors(source.role, mipmaps, shown, pixels_per_degree)
-    errors = np.full((len(pyramid.shapes), len(VARIANTS), *pyramid.shapes[0]), np.inf)
+    errors = np.full((1 + SMALLER_SIZES, len(pyramid.shapes), len(VARIANTS), *pyramid.shapes[0]), np.inf)
     headers: dict[bytes, int] = {}
     tiles: dict[tuple[int, int, int], CodedTile] = {}
     sizes = []
@@ -124,10 +126,10 @@ def code_texture(
                 byte_counts[index, number] = len(payload)
                 decoded[number] = result
             coarse = join_tiles(decoded, TileGrid(width, height, side))
-            errors[level, index] = _sum_blocks(judge.measure(coarse, level), blocks)
+            errors[:, level, index] = _sum_blocks(judge.measure(coarse, level), blocks)
         sizes.append(byte_counts.reshape(len(VARIANTS), *shape))
     texture = PackageTexture(source.role, grid.width, grid.height, grid.tile_size, tuple(headers))
-    return CodedTexture(texture, pyramid, used_tiles, tiles, sizes, errors)
+    return CodedTexture(texture, pyramid, used_tiles, tiles, sizes, errors[0], errors[1:])
 
 
 def _choose_variants(level: int, finest: int, tiles: int, is_full_size: bool) -> Sequence[int]:
@@ -155,9 +157,9 @@ def _code_tile(tiles: np.ndarray, quality: int, number: int) -> tuple[int, bytes
 
 
 def _sum_blocks(errors: np.ndarray, blocks: int) -> np.ndarray:
-    """Return the sums over tiles of level 0, whose sides have so many `blocks`."""
-    rows, columns = errors.shape[0] // blocks, errors.shape[1] // blocks
-    return errors.reshape(rows, blocks, columns, blocks).sum(axis=(1, 3))
+    """Return the sums (N, R, C) over tiles of level 0, whose sides have so many `blocks`. errors: (N, H / 8, W / 8)."""
+    rows, columns = errors.shape[1] // blocks, errors.shape[2] // blocks
+    return errors.reshape(-1, rows, blocks, columns, blocks).sum(axis=(2, 4))
 
 
 def _complete_visibility(visibility: np.ndarray, used: np.ndarray) -> np.ndarray:

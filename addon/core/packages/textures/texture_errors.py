@@ -11,9 +11,10 @@ from ...imaging.images import decode_normals, to_bytes
 from ...imaging.mipmaps import Mipmaps, build_mipmaps
 from ...jobs.chunks import map_ordered
 from .enlarging import blur_as_enlarged, enlarge
-from .visibility import BLOCK, level_footprints
+from .visibility import BLOCK, FOOTPRINT_STEP, level_footprints
 
 COLOR_ROLES = {"base_color", "emission"}
+SMALLER_SIZES = 3  # sizes of the object in the image that errors are measured for in addition, each half of the one before
 DATA_WEIGHT = 0.08  # Weight of errors of roughness and the like, which change images less than colors do.
 LIGHTS = np.float32([[0.5, 0.5, 0.7071], [-0.5, 0.5, 0.7071]])  # in which errors of normals are seen
 MIN_FRACTION = 0.1  # Resolutions that a smaller fraction of the object's pixels shows count as the next one.
@@ -46,25 +47,26 @@ class TextureErrors:
     def __init__(self, role: str, mipmaps: Mipmaps, visibility: np.ndarray, pixels_per_degree: float) -> None:
         self._role, self._pixels_per_degree = role, pixels_per_degree
         self._sizes, self._shape = mipmaps.sizes.tolist(), visibility.shape[:2]
-        self._weights = merge_resolutions(visibility, len(self._sizes))
+        self._weights = [merge_resolutions(halve_sizes(visibility, halvings), len(self._sizes)) for halvings in range(1 + SMALLER_SIZES)]
         self._references = {
             resolution: [list(map_ordered(self._prepare, self._cut(display))) for display in self._display(mipmaps.level(resolution))]
-            for resolution in self._weights
+            for resolution in sorted({resolution for weights in self._weights for resolution in weights})
         }
 
     @property
     def finest(self) -> int:
         """The finest resolution that counts: the texture halved so many times."""
-        return min(self._weights)
+        return min(self._weights[0])
 
     def measure(self, image: np.ndarray, level: int) -> np.ndarray:
-        """Return the error (H / 8, W / 8) of each block, times the fraction of the object's pixels that show it.
+        """Return the error (1 + SMALLER_SIZES, H / 8, W / 8) of each block, times the fraction of the object's pixels that show it, in
+        images of the object with the size of `visibility`, and in smaller ones.
 
         image: (ceil(H / 2^level), ceil(W / 2^level), 3) uint8. It is shown enlarged to the size of the texture.
         """
         mipmaps = build_mipmaps(blur_as_enlarged(image) if level else image, values_of_bytes(self._role))
-        errors = np.zeros(self._shape)
-        for resolution, weights in self._weights.items():
+        errors = np.zeros((len(self._weights), *self._shape))
+        for resolution in self._references:
             if resolution >= level:
                 values = mipmaps.level(resolution - level)
             else:
@@ -73,8 +75,10 @@ class TextureErrors:
             displays = self._display(values)
             for display, references in zip(displays, self._references[resolution], strict=True):
                 found = np.concatenate(list(map_ordered(self._compare, zip(references, self._cut(display), strict=True))))
-                errors += weights * average_blocks(found, resolution, self._shape) / len(displays)
-        return errors if self._role in (*COLOR_ROLES, "normal") else DATA_WEIGHT * errors
+                blocks = average_blocks(found, resolution, self._shape) / len(displays)
+                for size, weights in zip(errors, self._weights, strict=True):
+                    size += weights.get(resolution, 0.0) * blocks
+        return errors if self._role in (*COLOR_ROLES, "alpha", "normal") else DATA_WEIGHT * errors
 
     def _display(self, values: np.ndarray) -> list[np.ndarray]:
         """Return linear images (H, W, 3) in which viewers notice errors."""
@@ -99,6 +103,17 @@ class TextureErrors:
     def _compare(self, pair: tuple[FlipImage, Strip]) -> np.ndarray:
         reference, strip = pair
         return compare(reference, self._prepare(strip))[strip[1]]
+
+
+def halve_sizes(visibility: np.ndarray, halvings: int) -> np.ndarray:
+    """Return the visibility in images whose sides are halved so many times: each pixel has more texels. See `TextureErrors`."""
+    steps = round(halvings / FOOTPRINT_STEP)
+    if not steps:
+        return visibility
+    moved = np.zeros_like(visibility)
+    moved[..., steps:] = visibility[..., :-steps]
+    moved[..., -1] += visibility[..., -steps:].sum(axis=2)
+    return moved
 
 
 def merge_resolutions(visibility: np.ndarray, count: int) -> dict[int, np.ndarray]:
