@@ -7,17 +7,15 @@ import numpy as np
 from ..files.glb import Y_UP, Document, save_glb
 from ..files.glb_levels import LevelNode, arrange_levels
 from ..geometry.mesh import vertex_normals
-from ..imaging.coded_images import encode
 from ..texmesh.level_chain import LevelChain
 from ..texmesh.perception.switch_distances import level_coverages
 from ..texmesh.textured_mesh import TexturedMesh
+from .gltf_materials import describe_materials
 from .material_sources import MaterialSource
-
-QUALITY = 95  # Quality of JPEG.
 
 
 def encode_levels(name: str, chain: LevelChain, materials: Sequence[MaterialSource]) -> bytes:
-    """Return the quantized levels with their base colors. The meshes have z upwards.
+    """Return the quantized levels with their materials. The meshes have z upwards.
 
     Raises:
         FileError: the file would be too large.
@@ -29,24 +27,12 @@ def encode_levels(name: str, chain: LevelChain, materials: Sequence[MaterialSour
     coverages = level_coverages([level.pixel_size for level in chain.levels[1:]], bounds) if len(meshes) > 1 else ()
     nodes = [LevelNode(item, item, bounds, np.eye(4)) for item in names]
     nodes[0] = LevelNode(names[0], names[0], bounds, np.eye(4), tuple(range(1, len(meshes))), coverages)
-    images = {id(image): image for image in (item.images.get("base_color") for item in materials) if image is not None}
     document = {
         "nodes": [{"name": item, "mesh": index} for index, item in enumerate(names)],
         "meshes": [{"primitives": _primitives(mesh)} for mesh in meshes],
-        "materials": [_describe_material(item, list(images)) for item in materials],
-        "textures": [{"source": index} for index in range(len(images))],
-        "images": [{"content": encode(image, "jpeg", QUALITY)} for image in images.values()],
+        **describe_materials(materials),
     }
     return save_glb(arrange_levels(document, nodes, True, {}))
-
-
-def _describe_material(material: MaterialSource, images: Sequence[int]) -> Document:
-    """Return a material as in the file. images: identities of the images of textures."""
-    surface: Document = {"baseColorFactor": list(material.base_color), "metallicFactor": 0.0}
-    image = material.images.get("base_color")
-    surface |= {} if image is None else {"baseColorTexture": {"index": images.index(id(image))}}
-    sides = {"doubleSided": True} if material.is_double_sided else {}
-    return {"name": material.name, "pbrMetallicRoughness": surface, **sides}
 
 
 def _primitives(mesh: TexturedMesh) -> list[Document]:

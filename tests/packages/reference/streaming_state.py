@@ -154,11 +154,11 @@ def find_target(manifest: Manifest, pixels: float) -> tuple[int, int]:
     return level, state
 
 
-def limit_plan(plan: TransferPlan, level: int, state: int) -> TransferPlan:
-    """Return `plan` up to a level and a state of the textures."""
-    count = state + 1
-    errors, steps = (tuple(row[:count] for row in rows) for rows in (plan.errors[: level + 1], plan.steps[:count]))
-    return replace(plan, levels=plan.levels[: level + 1], errors=errors, states=plan.states[:count], sizes=plan.sizes[:count], steps=steps)
+def limit_plan(plan: TransferPlan, level: int, state: int, is_direct: bool = False) -> TransferPlan:
+    """Return `plan` up to a level and a state of the textures. is_direct: without the states before, which would only be replaced."""
+    kept = slice(state if is_direct else 0, state + 1)
+    errors, steps = (tuple(row[kept] for row in rows) for rows in (plan.errors[: level + 1], plan.steps[kept]))
+    return replace(plan, levels=plan.levels[: level + 1], errors=errors, states=plan.states[kept], sizes=plan.sizes[kept], steps=steps)
 
 
 def begin(

@@ -2,7 +2,7 @@
 // the same function, explains it, and has the same arithmetic in the same order: both decide alike bit for bit, as a test checks.
 //
 //   let plan = buildPlan(manifest)      // the parsed manifest.json
-//   plan = limitPlan(plan, ...findTarget(manifest, pixels))      // after each of its changes; the limits may grow, not shrink
+//   plan = limitPlan(plan, ...findTarget(manifest, pixels))      // after each change of the plan; the limits may grow, not shrink
 //   let state = begin(plan, {limit, rate, servers, patience, keepsRefining})
 //   [state, requests, aborted] = decide(plan, state, {time, id, received, failed})
 //
@@ -65,9 +65,9 @@ export function findTarget({ levels, state_pixels: states }, pixels) {
   });
 }
 
-/** `plan` up to a level and a state of the textures. */
-export function limitPlan(plan, level, state) {
-  const limit = (items) => items.slice(0, state + 1);
+/** `plan` up to a level and a state of the textures. isDirect: without the states before, which would only be replaced. */
+export function limitPlan(plan, level, state, isDirect = false) {
+  const limit = (items) => items.slice(isDirect ? state : 0, state + 1);
   const limited = { ...plan, levels: plan.levels.slice(0, level + 1), errors: plan.errors.slice(0, level + 1).map(limit) };
   return plan.ends ? { ...limited, states: limit(plan.states), sizes: limit(plan.sizes), steps: limit(plan.steps).map(limit) } : limited;
 }

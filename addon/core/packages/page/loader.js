@@ -114,7 +114,7 @@ export class Loader {
 
   /** whole: the plan of the package. target: the level and the state of the textures that are needed. */
   #setPlan(whole, target) {
-    Object.assign(this, { whole, target, plan: limitPlan(whole, ...target) });
+    Object.assign(this, { whole, target, plan: limitPlan(whole, ...target, this.state?.keepsRefining) });
   }
 
   #run() {
@@ -160,6 +160,7 @@ export class Loader {
   set refines(value) {
     this.options.refines = value;
     if (!value) this.state = { ...this.state, keepsRefining: false };
+    this.#setPlan(this.whole, this.target);
     this.#run();
   }
 
@@ -179,6 +180,7 @@ export class Loader {
     if (!refines || this.state.keepsRefining || this.time < limit || !isFinished(this.plan, this.state)) return;
     this.picture = this.state.ended; // the first one; from here on in the background
     this.state = { ...this.state, keepsRefining: true };
+    this.#setPlan(this.whole, this.target);
     this.#decide({});
   }
 

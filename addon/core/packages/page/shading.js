@@ -73,7 +73,8 @@ vec2 reflectance(float roughness, float facing) {
   return vec2(-1.04, 1.04) * a + r.zw;
 }
 
-vec3 shade(vec3 color, vec3 normal) {
+// surface: the normal without the normal map.
+vec3 shade(vec3 color, vec3 normal, vec3 surface) {
   vec3 toViewer = normalize(-surfacePosition);
   float facing = clamp(abs(dot(normal, toViewer)), 0.001, 1.0), occlusion = texture(occlusionMap, surfaceUv).r;
   float roughness = factors.x * texture(roughnessMap, surfaceUv).r, metallic = factors.y * texture(metallicMap, surfaceUv).r;
@@ -85,7 +86,9 @@ vec3 shade(vec3 color, vec3 normal) {
   vec3 reflected = (f0 * parts.x + parts.y) * (1.0 + f0 * (1.0 / (parts.x + parts.y) - 1.0));
   mat3 toWorld = transpose(mat3(view));
   vec3 matte = (1.0 - metallic) * color * (1.0 - reflected) * diffuseLight(toWorld * normal);
-  return occlusion * (matte + reflected * specularLight(toWorld * reflect(-toViewer, normal), alpha, facing));
+  vec3 direction = reflect(-toViewer, normal);
+  float horizon = clamp(1.0 + 1.2 * dot(direction, surface), 0.0, 1.0); // the surface hides what would shine from behind it
+  return occlusion * (matte + reflected * horizon * horizon * specularLight(toWorld * direction, alpha, facing));
 }
 
 // Khronos PBR Neutral: colors stay as they are up to bright highlights.
@@ -102,11 +105,12 @@ vec3 toneMap(vec3 color) {
 void main() {
   vec3 color = texture(base_colorMap, surfaceUv).rgb * baseColor.rgb;
   vec3 normal = normalize(gl_FrontFacing ? surfaceNormal : -surfaceNormal);
+  vec3 surface = normal;
   if (hasNormals) normal = normalize(mapNormal(normal));
   float alpha = alphaMode == 0 ? 1.0 : texture(alphaMap, surfaceUv).r * baseColor.a;
   if (alphaMode == 1) alpha = clamp((alpha - factors.w) / max(fwidth(alpha), 1e-4) + 0.5, 0.0, 1.0);
   vec3 light = texture(emissionMap, surfaceUv).rgb * emission;
-  if (isLit) color = toneMap(shade(color, normal) + light);
+  if (isLit) color = toneMap(shade(color, normal, surface) + light);
   if (alphaMode == 1 && alpha == 0.0) discard;
   color = mix(1.055 * pow(max(color, 0.0), vec3(1.0 / 2.4)) - 0.055, 12.92 * color, lessThanEqual(color, vec3(0.0031308)));
   pixel = vec4(color * alpha, alpha);

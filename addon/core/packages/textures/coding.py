@@ -24,6 +24,7 @@ MISSING = 128  # Value of all channels of missing tiles.
 FEW_TILES = 2  # Levels with so few tiles have all variants, since one tile is much there; others have the COMMON ones.
 # Levels finer than images show have three and two variants up to these numbers of tiles; details matter little there.
 FINER_TILES = (8, 16)
+ROLE_QUALITIES = {"roughness": 0.5, "metallic": 0.5, "occlusion": 0.5}  # Quality of data that change images less, relative to colors.
 MIN_VISIBILITY = 1e-3  # Visibility of blocks that no view shows, relative to the mean of the used ones.
 
 
@@ -100,6 +101,7 @@ def code_texture(
     mipmaps = build_mipmaps(image, values_of_bytes(source.role))
     judge = TextureErrors(source.role, mipmaps, shown, pixels_per_degree)
     errors = np.full((1 + SMALLER_SIZES, len(pyramid.shapes), len(VARIANTS), *pyramid.shapes[0]), np.inf)
+    role_quality = ROLE_QUALITIES.get(source.role, 1.0) * quality
     headers: dict[bytes, int] = {}
     tiles: dict[tuple[int, int, int], CodedTile] = {}
     sizes = []
@@ -117,7 +119,7 @@ def code_texture(
         for position, index in enumerate(indices):
             variant = VARIANTS[index]
             cut = sharpened if variant.is_sharpened else plain
-            code = partial(_code_tile, cut if has_colors else cut[..., 0], max(round(variant.fraction * quality), 1))
+            code = partial(_code_tile, cut if has_colors else cut[..., 0], max(round(variant.fraction * role_quality), 1))
             decoded = np.full((len(cut), side, side, 3), MISSING, np.uint8)
             for count, (number, header, payload, result) in enumerate(map_ordered(code, chosen.tolist())):
                 done = (position + count / len(chosen)) / len(indices)
