@@ -10,6 +10,8 @@ const INITIAL = { base_color: GRAY, normal: FLAT, metallic: BLACK, emission: BLA
 const COLOR_ROLES = ["base_color", "emission"]; // stored in sRGB
 const ROLES = ["base_color", "alpha", "normal", "roughness", "metallic", "occlusion", "emission"]; // by texture unit
 
+const MODES = ["opaque", "mask", "blend"], TRANSLUCENT = 3; // numbers of `alphaMode` in the shader
+
 const VERTEX_SHADER = `#version 300 es
 in vec3 position;
 in vec2 uv;
@@ -156,20 +158,22 @@ export class Renderer {
     const parts = this.mesh.counts.map((count, index, counts) => {
       return { count, first: counts.slice(0, index).reduce((sum, value) => sum + value, 0), material: this.materials[index] };
     });
-    const isBlended = ({ material }) => material.shading.alpha_mode === "blend";
-    for (const part of parts) if (!isBlended(part)) this.#drawPart(part, part.material.is_double_sided ? [0] : [gl.BACK]);
+    for (const part of parts) this.#drawPart(part, MODES.indexOf(part.material.shading.alpha_mode), part.material.is_double_sided ? [0] : [gl.BACK]);
     gl.enable(gl.BLEND);
     gl.depthMask(false);
-    for (const part of parts) if (isBlended(part)) this.#drawPart(part, part.material.is_double_sided ? [gl.FRONT, gl.BACK] : [gl.BACK]);
+    for (const part of parts) {
+      if (part.material.shading.alpha_mode !== "blend") continue;
+      this.#drawPart(part, TRANSLUCENT, part.material.is_double_sided ? [gl.FRONT, gl.BACK] : [gl.BACK]);
+    }
     gl.depthMask(true);
     gl.disable(gl.BLEND);
     if (!this.fence) [this.fence, this.drawn] = [gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0), performance.now() / 1000];
     return !this.outdated.size;
   }
 
-  /** Draw triangles of a material. passes: the faces to leave out in each, 0 for none. */
-  #drawPart({ count, first, material }, passes) {
-    const { gl, uniforms } = this, { shading } = material, modes = ["opaque", "mask", "blend"];
+  /** Draw triangles of a material. mode: see `alphaMode` of the shader. passes: the faces to leave out in each, 0 for none. */
+  #drawPart({ count, first, material }, mode, passes) {
+    const { gl, uniforms } = this, { shading } = material;
     ROLES.forEach((role, unit) => {
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(gl.TEXTURE_2D, (this.textures[material.textures[role]] ?? this.white).texture);
@@ -177,7 +181,7 @@ export class Renderer {
     gl.activeTexture(gl.TEXTURE0);
     gl.uniform1i(uniforms.hasNormals, +("normal" in material.textures));
     gl.uniform1i(uniforms.isLit, +(this.isLit && !shading.is_unlit));
-    gl.uniform1i(uniforms.alphaMode, modes.indexOf(shading.alpha_mode));
+    gl.uniform1i(uniforms.alphaMode, mode);
     gl.uniform4fv(uniforms.baseColor, material.base_color);
     gl.uniform4f(uniforms.factors, shading.roughness, shading.metallic, shading.normal_scale, shading.alpha_cutoff);
     gl.uniform3fv(uniforms.emission, this.isLit ? shading.emission : [0, 0, 0]);

@@ -22,11 +22,12 @@ uniform vec4 factors;
 uniform vec3 emission;
 uniform bool hasNormals;
 uniform bool isLit;
-uniform int alphaMode;
+uniform int alphaMode; // 0 opaque, 1 mask; of what is blended, 2 the opaque parts, which hide others, 3 the rest
 out vec4 pixel;
 
 const vec3 SKY = vec3(0.6, 0.62, 0.66), GROUND = vec3(0.24, 0.23, 0.22);
 const float HORIZON = 0.25; // height of the transition from ground to sky, for a mirror
+const float OPAQUE = 0.99;
 const float MIN_ALPHA = 0.002; // squared roughness of the smoothest surface
 
 // Tangents from derivatives: vertices have none. v points down, the second axis of a normal map up.
@@ -111,7 +112,7 @@ void main() {
   if (alphaMode == 1) alpha = clamp((alpha - factors.w) / max(fwidth(alpha), 1e-4) + 0.5, 0.0, 1.0);
   vec3 light = texture(emissionMap, surfaceUv).rgb * emission;
   if (isLit) color = toneMap(shade(color, normal, surface) + light);
-  if (alphaMode == 1 && alpha == 0.0) discard;
+  if (alpha == 0.0 || (alphaMode == 2 && alpha < OPAQUE) || (alphaMode == 3 && alpha >= OPAQUE)) discard;
   color = mix(1.055 * pow(max(color, 0.0), vec3(1.0 / 2.4)) - 0.055, 12.92 * color, lessThanEqual(color, vec3(0.0031308)));
   pixel = vec4(color * alpha, alpha);
 }`;
