@@ -41,7 +41,7 @@ IMMUTABLE = "max-age=31536000, immutable"  # of URLs that name their content
 SHARED_HEADERS = HEADERS | {
     "Access-Control-Allow-Origin": "*",
     "Access-Control-Allow-Methods": "GET, HEAD",
-    "Access-Control-Allow-Headers": "Range, If-Range, Cache-Control",
+    "Access-Control-Allow-Headers": "Range, If-Range",
     "Access-Control-Expose-Headers": "Accept-Ranges, Content-Range, Content-Length, ETag",
     "Access-Control-Max-Age": "86400",
     "Cross-Origin-Resource-Policy": "cross-origin",

@@ -1,6 +1,7 @@
 """The web server of packages: ranges, caching, mirrors, and refusal of everything that is not a file of the package."""
 
 import gzip
+import hashlib
 import http.client
 import socket
 import sys
@@ -105,6 +106,24 @@ def test_files_of_package_are_sent(url, package):
         assert headers["X-Content-Type-Options"] == "nosniff"
         assert "Server" not in headers
     assert request(url, "/")[2] == request(url, "/index.html")[2] == read_page()["index.html"]
+
+
+def test_urls_that_name_their_content_are_kept_for_ever_and_others_are_asked_for_again(url, package):
+    for name in ("mesh.bin", "textures.bin", "main.js", "style.css"):
+        content = request(url, f"/{name}")[2]
+        version = hashlib.sha256(content).hexdigest()[:16]
+        for path, expected in (
+            (f"/{name}?{version}", "max-age=31536000, immutable"),
+            (f"/{name}?other", "no-cache"),
+            (f"/{name}", "no-cache"),
+        ):
+            for headers in ({}, {"Range": "bytes=1-2"}):
+                _, answer, body = request(url, f"/{name}{query}", headers)
+                assert answer["Cache-Control"] == expected and body in (content, content[1:3])
+    for name in ("", "index.html", "manifest.json"):
+        _, answer, _ = request(url, f"/{name}")
+        assert answer["Cache-Control"] == "no-cache"
+        assert request(url, f"/{name}", {"If-None-Match": answer["ETag"]})[0] == 304
 
 
 def test_a_private_server_answers_only_to_this_machine_and_its_own_page(package):
