@@ -17,6 +17,7 @@ from .operators.photos import previews as photos_previews
 from .operators.photos import refinement as photos_refinement
 from .operators.photos import registration as photos_registration
 from .operators.restore import operators as restore_operators
+from .operators.texmesh import answer_files as texmesh_answer_files
 from .operators.texmesh import calibration as texmesh_calibration
 from .operators.texmesh import exports as texmesh_exports
 from .operators.texmesh import operators as texmesh_operators
@@ -52,6 +53,7 @@ MODULES = (
     texmesh_overlays,
     texmesh_preview,
     texmesh_calibration,
+    texmesh_answer_files,
     packages_operators,
     clipbox_operators,
     clipbox_convert,

@@ -33,7 +33,7 @@ from farfield.addon.operators.job_run import run_job
 from farfield.addon.operators.packages.operators import prepare_packages
 from lib import command_line, run_files, scene_files
 from lib.connection_rate import ConnectionRate, parse_rate
-from lib.texmesh_inputs import open_objects, read_level_settings
+from lib.texmesh_inputs import add_answers_flag, open_objects, read_level_settings
 
 LOOPBACK = "127.0.0.1"
 DEFAULT_PORT = 8765
@@ -49,6 +49,7 @@ def build_parser() -> command_line.Parser:
     build.add_argument("--out", type=PACKAGES, required=True, help="the folder to write; one folder in it per object")
     build.add_argument("--report", type=run_files.REPORT, help="write a report of the run to this JSON file")
     add_flags(build, TexmeshSettings, [item.name for item in describe(TexmeshSettings) if item.name not in FIXED_LEVEL_SETTINGS])
+    add_answers_flag(build)
     add_flags(build, PackageSettings)
     verify = commands.add_parser("verify", description="Check every byte of a package.")
     serve = commands.add_parser("serve", description="Serve a package over HTTP, by default on this machine only.")

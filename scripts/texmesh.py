@@ -35,7 +35,7 @@ from lib import command_line, run_files, scene_files
 from lib.atomic_output import atomic_file
 from lib.contact_sheet import write_png
 from lib.script_stdout import mute_stderr
-from lib.texmesh_inputs import open_objects, read_level_settings
+from lib.texmesh_inputs import add_answers_flag, open_objects, read_level_settings
 
 EXTENSIONS = (".blend", ".glb")
 
@@ -54,6 +54,7 @@ def build_parser() -> command_line.Parser:
     )
     levels.add_argument("--one-file", action="store_true", help="write one .glb with all levels (MSFT_lod) instead of one per level")
     levels.add_argument("--no-quantized", dest="quantized", action="store_false", help="store numbers in a .glb in single precision")
+    add_answers_flag(levels)
     analyze.add_argument(
         "--plot", type=run_files.OUTPUT.ending_in(".png"), help="draw features and ranges of the largest mesh to this PNG file"
     )

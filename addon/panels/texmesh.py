@@ -9,6 +9,7 @@ from ..core.settings import describe
 from ..core.texmesh.perception.recorded_answers import estimate_recorded
 from ..core.texmesh.settings import PRESETS, RESEARCH_GROUP, InspectionSettings, LevelSettings, ResearchSettings, SceneSettings
 from ..operators.texmesh import preview
+from ..operators.texmesh.answer_files import FARFIELD_OT_texmesh_add_answers, FARFIELD_OT_texmesh_save_answers
 from ..operators.texmesh.calibration import (
     FARFIELD_OT_texmesh_calibrate,
     FARFIELD_OT_texmesh_clear_answers,
@@ -141,6 +142,9 @@ class FARFIELD_PT_texmesh_calibration(SidebarPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the buttons, and the threshold that the answers give."""
         draw_button(self.layout, FARFIELD_OT_texmesh_calibrate, "Calibrate", "RESTRICT_VIEW_OFF")
+        row = self.layout.row(align=True)
+        row.operator(FARFIELD_OT_texmesh_add_answers.bl_idname, text="Add Answers", icon="IMPORT")
+        row.operator(FARFIELD_OT_texmesh_save_answers.bl_idname, text="Save Answers", icon="EXPORT")
         if context.scene.get(ANSWERS) is None:
             return
         try:
@@ -150,7 +154,7 @@ class FARFIELD_PT_texmesh_calibration(SidebarPanel, bpy.types.Panel):
         else:
             interval = f"{threshold.low:.3g} to {threshold.high:.3g}"
             draw_message(self.layout, f"Threshold {threshold.value:.3g} ({interval}) from {threshold.answers} answers", "CHECKMARK")
-            self.layout.operator(FARFIELD_OT_texmesh_use_threshold.bl_idname, text="Use Threshold")
+            self.layout.operator(FARFIELD_OT_texmesh_use_threshold.bl_idname, text="Use Answers")
         self.layout.operator(FARFIELD_OT_texmesh_clear_answers.bl_idname, text="Clear Answers")
 
 

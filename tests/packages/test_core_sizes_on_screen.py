@@ -103,7 +103,8 @@ const { cases, manifest, sizes, kept } = JSON.parse(readFileSync(process.argv[3]
 const plans = cases.map(({ plan, table, limits }) => limitPlan(addTable(plan, table), ...limits));
 const { plan, table, mesh, textures } = kept, complete = addTable(plan, table);
 const state = takeKept(complete, begin(complete, { limit: 5 }), mesh, textures);
-process.stdout.write(JSON.stringify([plans, sizes.map((size) => findTarget(manifest, size)), [state.mesh, state.pending, state.requested]]));
+const targets = sizes.map((size) => findTarget(manifest, size));
+process.stdout.write(JSON.stringify([plans, targets, [state.mesh, state.pending, state.requested]]));
 """
 
 

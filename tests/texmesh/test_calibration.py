@@ -11,6 +11,7 @@ from farfield.addon.bridge.texmesh.level_sets import FIGURES, LevelSet, NewLevel
 from farfield.addon.bridge.texmesh.trial_objects import MARK
 from farfield.addon.core.errors import FarfieldError, GeometryError, SettingsError
 from farfield.addon.core.geometry.cameras import Camera
+from farfield.addon.core.texmesh.perception.recorded_answers import read_answers
 from farfield.addon.operators.texmesh import calibration
 from farfield.addon.operators.texmesh.calibration import handle_event
 from farfield.addon.operators.texmesh.calibration_run import ANSWERS, CalibrationRun, stored_answers
@@ -183,7 +184,7 @@ def test_an_orthographic_viewer_is_refused(levels):
     run.close()
 
 
-def test_the_threshold_becomes_the_setting(run):
+def test_answers_become_settings_and_are_exchanged_as_files(run, tmp_path):
     for _ in range(30):
         place(run)
         is_noticed = FRACTIONS[run.trial.level - 1] > 0.1
@@ -194,6 +195,13 @@ def test_the_threshold_becomes_the_setting(run):
     calibration.end_calibration()
     assert bpy.ops.farfield.texmesh_use_threshold() == {"FINISHED"}
     assert 0.09 < bpy.context.scene.farfield_texmesh.weber_threshold < 0.16
+    records = read_answers(bpy.context.scene[ANSWERS])
+    ratios = [record.answer.accepted_distance / record.expected_distance for record in records]
+    assert bpy.context.scene.farfield_texmesh.distance_factor == pytest.approx(np.clip(np.median(ratios), 0.1, 10.0))
+    for _ in range(2):  # the same answers count once
+        assert bpy.ops.farfield.texmesh_save_answers(filepath=str(tmp_path / "answers.json")) == {"FINISHED"}
+        assert bpy.ops.farfield.texmesh_add_answers(filepath=str(tmp_path / "answers.json")) == {"FINISHED"}
+        assert read_answers(bpy.context.scene[ANSWERS]) == records
     assert bpy.ops.farfield.texmesh_clear_answers() == {"FINISHED"} and ANSWERS not in bpy.context.scene
     for operator in (bpy.ops.farfield.texmesh_use_threshold, bpy.ops.farfield.texmesh_clear_answers):
         assert not operator.poll()

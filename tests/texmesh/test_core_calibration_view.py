@@ -1,5 +1,6 @@
 """What a judge sees, what is recorded, and the figures that are stored with levels."""
 
+import dataclasses
 import json
 import math
 
@@ -10,11 +11,20 @@ from hypothesis import strategies as st
 
 from farfield.addon.bridge.texmesh.ring_overlay import ring_around_box
 from farfield.addon.bridge.texmesh.scale_attributes import color_scales
-from farfield.addon.core.errors import SettingsError
+from farfield.addon.core.errors import FileError, SettingsError
 from farfield.addon.core.geometry.cameras import Camera, distance_to_box
 from farfield.addon.core.texmesh.figures import read_figures, step_function
+from farfield.addon.core.texmesh.perception.answer_settings import estimate_settings
 from farfield.addon.core.texmesh.perception.calibration import Answer, estimate_threshold
-from farfield.addon.core.texmesh.perception.recorded_answers import RecordedAnswer, estimate_recorded, read_answers, write_answers
+from farfield.addon.core.texmesh.perception.recorded_answers import (
+    RecordedAnswer,
+    decode_answers,
+    estimate_distance_factor,
+    estimate_recorded,
+    merge_answers,
+    read_answers,
+    write_answers,
+)
 from farfield.addon.core.texmesh.perception.trial_view import TrialView
 
 FIGURES = {
@@ -69,6 +79,40 @@ def test_an_orthographic_view_is_refused():
     trial = TrialView(Camera(np.zeros(3), 100, 0.0, 5.0), 1.0, 0.1, np.zeros(3), 1.0, 67.0)
     with pytest.raises(SettingsError, match="perspective"):
         trial.object_matrix(1.0, 0.0, 1)
+
+
+def answers_of_a_judge(seed: int, factor: float = 1.0, count: int = 60) -> list[RecordedAnswer]:
+    """Answers of a judge with a threshold of 0.1 who needs `factor` times the distances of FLIP."""
+    random = np.random.default_rng(seed)
+    records = []
+    for stimulus in np.resize(np.linspace(0.02, 0.2, 10), count):
+        expected = random.uniform(5.0, 50.0)
+        accepted = factor * expected * random.lognormal(0.0, 0.2)
+        is_noticed = random.random() < 1.0 / (1.0 + np.exp(-60.0 * (stimulus - 0.1)))
+        start = accepted * (0.5 if is_noticed else 2.0)
+        records.append(RecordedAnswer("statue", float(stimulus), Answer(1, float(start), float(accepted)), float(expected)))
+    return records
+
+
+def test_answers_of_several_judges_and_files_count_together_and_once():
+    first, second = answers_of_a_judge(1, 1.5), answers_of_a_judge(2, 1.5)
+    files = [write_answers(first).encode(), write_answers(second + first[:7]).encode()]
+    merged = merge_answers(decode_answers(content, "answers.json") for content in files)
+    assert merged == first + second
+    values, message = estimate_settings(merged)
+    assert values["weber_threshold"] == estimate_recorded(first + second).value == pytest.approx(0.1, abs=0.02)
+    assert values["distance_factor"] == pytest.approx(1.5, rel=0.1) and "from 120 answers" in message
+    for content in (b"", b"[]", b"{}", b"\xff", b'[{"object": 1}]'):
+        with pytest.raises(FileError, match="has no answers"):
+            decode_answers(content, "answers.json")
+
+
+def test_answers_of_earlier_versions_give_no_distances():
+    records = [dataclasses.replace(record, expected_distance=None) for record in answers_of_a_judge(1)]
+    assert read_answers(write_answers(records)) == records
+    assert set(estimate_settings(records)[0]) == {"weber_threshold"}
+    with pytest.raises(SettingsError, match="too few"):
+        estimate_distance_factor(answers_of_a_judge(1)[:7])
 
 
 def test_answers_survive_and_those_about_several_objects_count_together():

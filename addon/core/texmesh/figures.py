@@ -22,6 +22,7 @@ class LevelFigures:
         candidate_triangles, candidate_sizes: of all levels that were tried, finest first; sizes are pixel sizes in the unit of the mesh.
         weber_fractions: of the refinement to each candidate from the next one.
         level_triangles: of the levels, the original first.
+        distance_factor: of the distances from which they are shown.
     """
 
     features: np.ndarray
@@ -30,6 +31,7 @@ class LevelFigures:
     candidate_sizes: np.ndarray
     weber_fractions: np.ndarray
     level_triangles: np.ndarray
+    distance_factor: float
 
     @property
     def stimuli(self) -> np.ndarray:
@@ -58,6 +60,7 @@ def read_figures(text: object) -> LevelFigures:
         candidate_sizes=_read_column(candidates, "pixel_size"),
         weber_fractions=_read_numbers(content.get("weber_fractions")),
         level_triangles=_read_column(levels, "triangles"),
+        distance_factor=float(_read_numbers([content.get("distance_factor", 1.0)])[0]),
     )
 
 

@@ -14,7 +14,7 @@ from ..jobs.progress import Progress, Steps, subprogress
 from .level_candidates import Candidate, Candidates, make_candidates, parse_ratios
 from .level_choices import AS_MANY_AS_ASKED, MIN_PIXELS, ComparedCandidates, choose_candidates, compare_candidates, count_bytes, view_levels
 from .perception.level_images import LevelImages, measure_difference
-from .perception.switch_distances import Switch, find_shown_levels, find_switches, open_images
+from .perception.switch_distances import MIN_IMAGE, Switch, find_shown_levels, find_switches, open_images
 from .perception.weber import Impacts
 from .refitting.comparison import LevelComparison
 from .refitting.outliers import FineSurface
@@ -78,6 +78,7 @@ class LevelChain:
         simplification: the collapses in their order.
         candidates: triangles and pixel sizes of all levels that were tried, finest first.
         image_side: the length that images of the object show.
+        distance_factor: of all pixel sizes, see the setting.
     """
 
     levels: tuple[Level, ...]
@@ -86,6 +87,7 @@ class LevelChain:
     simplification: Simplification
     candidates: tuple[tuple[int, float], ...]
     image_side: float
+    distance_factor: float = 1.0
 
 
 def make_levels(
@@ -116,9 +118,12 @@ def make_levels(
     kept, images = yield from subprogress(finish(candidates, compared, chosen, mipmaps, settings), 0.8, 0.95)
     find_shown = _show_all if settings.levels in AS_MANY_AS_ASKED else _show_visible
     shown, switches = yield from subprogress(find_shown(images, settings), 0.95, 1.0)
-    levels = [_to_level(kept[index], switch) for index, switch in zip(shown, [None, *switches], strict=True)]
-    tried = tuple((len(item.mesh.triangles), size) for item, size in zip(compared.items, compared.pixel_sizes, strict=True))
-    return LevelChain(tuple(levels), scale_map, compared.impacts, candidates.simplification, tried, images[0].frame.side)
+    levels = [_to_level(kept[index], switch, settings.distance_factor) for index, switch in zip(shown, [None, *switches], strict=True)]
+    tried = tuple(
+        (len(item.mesh.triangles), settings.distance_factor * size) for item, size in zip(compared.items, compared.pixel_sizes, strict=True)
+    )
+    sizes = images[0].frame.side, settings.distance_factor
+    return LevelChain(tuple(levels), scale_map, compared.impacts, candidates.simplification, tried, *sizes)
 
 
 def _keep(
@@ -184,6 +189,9 @@ def _show_visible(images: Sequence[LevelImages], settings: TexmeshSettings) -> S
     return shown[: 1 + large], switches[:large]
 
 
-def _to_level(item: Candidate, switch: Switch | None) -> Level:
-    pixel_size, distance = (0.0, 0.0) if switch is None else (switch.pixel_size, item.distance)
-    return Level(item.mesh, item.scale, pixel_size, switch, item.subset, distance, item.is_moved)
+def _to_level(item: Candidate, switch: Switch | None, distance_factor: float) -> Level:
+    if switch is None:
+        return Level(item.mesh, item.scale, 0.0, None, item.subset, 0.0, item.is_moved)
+    pixels = max(round(switch.pixels / distance_factor), MIN_IMAGE)
+    switch = replace(switch, pixel_size=distance_factor * switch.pixel_size, pixels=pixels)
+    return Level(item.mesh, item.scale, switch.pixel_size, switch, item.subset, item.distance, item.is_moved)

@@ -133,7 +133,7 @@ def choose_by_size(compared: ComparedCandidates, settings: TexmeshSettings) -> l
 
 def choose_by_pixels(compared: ComparedCandidates, settings: TexmeshSettings) -> list[int]:
     """Choose the levels that are shown while the object has at most a number of pixels."""
-    nearest = compared.images[0].frame.side / settings.max_pixels
+    nearest = compared.images[0].frame.side / settings.max_pixels / settings.distance_factor
     start = max(index for index, size in enumerate(compared.pixel_sizes) if size <= nearest)
     return [0, *range(max(start, 1), len(compared.items))]
 

@@ -170,6 +170,13 @@ class ResearchSettings(AnalysisSettings):
     weber_threshold: float = of_research(
         0.096, "Weber fraction above which a change of shape is noticed. The paper measured 0.096", minimum=0.001, maximum=1.0
     )
+    distance_factor: float = of_research(
+        1.0,
+        "Factor of the distances from which levels are shown, relative to those where FLIP sees no difference. The answers of a calibration"
+        " tell it",
+        minimum=0.1,
+        maximum=10.0,
+    )
     perceptual_value: str = of_research(
         "cross_section", "How much a change of shape is seen", choices=PERCEPTUAL_VALUES, panel_label="Perception"
     )

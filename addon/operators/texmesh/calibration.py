@@ -11,9 +11,7 @@ from ...bridge.texmesh.trial_objects import remove_trial_objects
 from ...bridge.viewers import viewport_camera
 from ...core.errors import GeometryError, SettingsError
 from ...core.messages import format_count
-from ...core.settings import describe
-from ...core.texmesh.perception.recorded_answers import estimate_recorded
-from ...core.texmesh.settings import TexmeshSettings
+from ...core.texmesh.perception.answer_settings import estimate_settings
 from .. import long_work
 from ..error_reports import report_message, reports_errors
 from ..follow_handlers import add_handlers, remove_handlers
@@ -24,7 +22,6 @@ from .preview import current as preview
 TICK = 1.0 / 30.0  # seconds
 HELP = "Do both look the same? Wheel or Up/Down: Move Nearer/Farther until You See a Difference, Enter: Accept, Esc: End"
 NEARER, FARTHER = {"WHEELUPMOUSE", "UP_ARROW", "NUMPAD_PLUS"}, {"WHEELDOWNMOUSE", "DOWN_ARROW", "NUMPAD_MINUS"}
-THRESHOLD = next(item for item in describe(TexmeshSettings) if item.name == "weber_threshold")
 
 _run: CalibrationRun | None = None  # handlers of Blender end the one that runs
 
@@ -159,10 +156,10 @@ class FARFIELD_OT_texmesh_calibrate(bpy.types.Operator):
 
 
 class FARFIELD_OT_texmesh_use_threshold(bpy.types.Operator):
-    """Take the threshold that was estimated from the answers as the setting *Weber Threshold*"""
+    """Take what was estimated from the answers as the settings *Weber Threshold* and *Distance Factor*"""
 
     bl_idname = "farfield.texmesh_use_threshold"
-    bl_label = "Use Calibrated Threshold"
+    bl_label = "Use Answers of Calibration"
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
@@ -173,12 +170,11 @@ class FARFIELD_OT_texmesh_use_threshold(bpy.types.Operator):
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Set the threshold, within the limits of the setting."""
-        threshold = estimate_recorded(stored_answers(context.scene))
-        value = min(max(threshold.value, THRESHOLD.minimum), THRESHOLD.maximum)
-        context.scene.farfield_texmesh.weber_threshold = value
-        message = f"The threshold is {value:.3g}, between {threshold.low:.3g} and {threshold.high:.3g} with 95% confidence"
-        report_message(self, f"{message}, from {format_count(threshold.answers, 'answer')}.")
+        """Set the threshold and the factor of distances, within the limits of the settings."""
+        values, message = estimate_settings(stored_answers(context.scene))
+        for name, value in values.items():
+            setattr(context.scene.farfield_texmesh, name, value)
+        report_message(self, message)
         return {"FINISHED"}
 
 

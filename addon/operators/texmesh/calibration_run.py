@@ -41,11 +41,14 @@ class CalibrationRun:
         self._scene_uid, self._collection_uid = scene.session_uid, levels.collection.session_uid
         self._pixels_per_degree = pixels_per_degree
         self._name = levels.source_name
-        self._stimuli = read_figures(levels.collection.get(FIGURES)).stimuli
+        figures = read_figures(levels.collection.get(FIGURES))
+        self._stimuli = figures.stimuli
         if len(self._stimuli) != len(levels.levels) - 1:
             raise SettingsError(f'The levels of "{self._name}" are not those that were made; make them again.')
         self._seed = len(read_answers(scene.get(ANSWERS)))
-        self._farthest = float(levels.levels[-1][ERROR]) / math.tan(math.radians(1.0 / pixels_per_degree))
+        pixel = math.tan(math.radians(1.0 / pixels_per_degree))
+        self._farthest = float(levels.levels[-1][ERROR]) / pixel
+        self._expected = [float(level[ERROR]) / pixel / figures.distance_factor for level in levels.levels[1:]]
         corners = np.array(levels.levels[0].bound_box, np.float64)
         self._center = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
         self._radius = 0.5 * float(np.linalg.norm(np.ptp(corners, axis=0)))
@@ -95,8 +98,9 @@ class CalibrationRun:
         if scene is None or levels is None or len(levels.levels) != len(self._stimuli) + 1:
             raise GeometryError("The levels were removed; make them again.")
         answer = record_answer(self.trial, self.distance)
-        records = [*read_answers(scene.get(ANSWERS)), RecordedAnswer(self._name, float(self._stimuli[answer.level - 1]), answer)]
-        scene[ANSWERS] = write_answers(records)
+        index = answer.level - 1
+        record = RecordedAnswer(self._name, float(self._stimuli[index]), answer, self._expected[index] or None)
+        scene[ANSWERS] = write_answers([*read_answers(scene.get(ANSWERS)), record])
         self.answers.append(answer)
         self.trial, self.distance = self._next_trial(), None
         if not self._objects.show_level(levels.levels[self.trial.level].data):

@@ -197,6 +197,7 @@ def describe_chain(chain: LevelChain) -> dict:
             for level in chain.levels
         ],
         "candidates": [{"triangles": triangles, "pixel_size": size} for triangles, size in chain.candidates],
+        "distance_factor": chain.distance_factor,
         "weber_fractions": [float(value) for value in chain.impacts.fractions],
         "features": [int(count) for count in chain.scale_map.counts],
         "sigmas": [float(sigma) for sigma in chain.scale_map.sigmas],
