@@ -11,6 +11,8 @@ import pytest
 import texmesh
 from farfield.addon.bridge.texmesh.level_sets import level_sets_in
 from farfield.addon.core.errors import FileError, SettingsError
+from farfield.addon.core.texmesh.perception.calibration import Answer
+from farfield.addon.core.texmesh.perception.recorded_answers import RecordedAnswer, write_answers
 from glb_reader import read_glb
 from lib import command_line, environment
 from textured_scenes import checker_image, count_triangles, textured_ball, textured_material
@@ -130,6 +132,30 @@ def test_several_materials_become_primitives(folder):
     assert all({"NORMAL", "TEXCOORD_0"} <= set(primitive["attributes"]) for primitive in document["meshes"][0]["primitives"])
     factors = [material["pbrMetallicRoughness"].get("baseColorFactor", [1.0] * 4) for material in document["materials"]]
     np.testing.assert_allclose(factors, [[1.0] * 4, [1.0] * 4, [0.1, 0.4, 0.6, 1.0]], atol=1e-6)
+
+
+def test_answers_of_judges_move_levels(ball):
+    """Two judges who need twice the distances of FLIP: the same levels switch twice as far away. A flag counts more than answers."""
+    files = []
+    for judge in range(2):
+        stimuli = np.linspace(0.02, 0.2, 10)
+        answers = [Answer(1, 9.0 if stimulus > 0.1 else 11.0, 10.0 + judge) for stimulus in stimuli]
+        records = [
+            RecordedAnswer("vase", float(stimulus), answer, 5.0 + 0.5 * judge) for stimulus, answer in zip(stimuli, answers, strict=True)
+        ]
+        files.append(ball.with_name(f"judge {judge}.json"))
+        files[-1].write_text(write_answers(records))
+    flags = ("--ratios", "0.5,0.25")
+    plain, judged = (make(ball, *flags, *more)[1]["objects"][0]["levels"] for more in ((), ("--answers", *files)))
+    assert [level["triangles"] for level in judged] == [level["triangles"] for level in plain]
+    for before, after in zip(plain[1:], judged[1:], strict=True):
+        assert after["pixel_size"] == pytest.approx(2.0 * before["pixel_size"])
+        assert after["pixels"] == pytest.approx(0.5 * before["pixels"], abs=0.5)
+    named = make(ball, *flags, "--answers", *files, "--distance-factor", "3")[1]["objects"][0]["levels"]
+    assert named[1]["pixel_size"] == pytest.approx(3.0 * plain[1]["pixel_size"])
+    files[0].write_text("{}")
+    with pytest.raises(FileError, match="has no answers"):
+        make(ball, "--answers", *files)
 
 
 def test_analysis_and_plot(ball):
