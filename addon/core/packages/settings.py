@@ -15,7 +15,11 @@ class PackageSettings(Settings):
     """What a package is made for. Raises SettingsError if the size of tiles is no multiple of 16, or a mirror is no URL."""
 
     time_limit: float = setting(
-        10.0, "Time for the first picture; the page goes on in the background. It can change the time", minimum=0.5, maximum=3600.0, unit=Unit.SECONDS
+        10.0,
+        "Time for the first picture, after which the page goes on in the background. It can change the time",
+        minimum=0.5,
+        maximum=3600.0,
+        unit=Unit.SECONDS,
     )
     pixels: int = setting(
         512, "Object size on screen, in pixels, for which bytes are divided between mesh and textures", minimum=16, maximum=4096
