@@ -37,7 +37,7 @@ MAX_HEADER_BYTES = 16384
 READ_BUFFER_BYTES = 65536  # per connection
 WAIT_SECONDS = 0.2
 HEADERS = {"Referrer-Policy": "no-referrer", "X-Content-Type-Options": "nosniff"}
-IMMUTABLE = "max-age=31536000, immutable"  # of URLs that name their content
+IMMUTABLE = "max-age=31536000, immutable"  # The header of URLs that name their content.
 SHARED_HEADERS = HEADERS | {
     "Access-Control-Allow-Origin": "*",
     "Access-Control-Allow-Methods": "GET, HEAD",

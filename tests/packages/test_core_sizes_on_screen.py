@@ -61,25 +61,25 @@ def test_states_look_right_up_to_the_size_where_their_error_is_seen():
 @settings(max_examples=15, deadline=None)
 def test_nothing_beyond_the_limits_is_asked_for_until_they_grow(seed):
     rng = random.Random(seed)
-    whole = random_plan(rng)
-    level, state = rng.randrange(len(whole.levels)), rng.randrange(len(whole.errors[0]))
-    plan = limit_plan(whole, level, state)
+    complete = random_plan(rng)
+    level, state = rng.randrange(len(complete.levels)), rng.randrange(len(complete.errors[0]))
+    plan = limit_plan(complete, level, state)
     exchange = Exchange(rng, plan, begin(plan, 0.1, 1e5, rng.randint(1, 3), keeps_refining=True))
     exchange.tell(Event(0.0))
     run_to_end(exchange)
-    assert exchange.state.mesh == whole.levels[level].end
-    allowed = sorted({interval for intervals in whole.states[: state + 1] for interval in intervals})
+    assert exchange.state.mesh == complete.levels[level].end
+    allowed = sorted({interval for intervals in complete.states[: state + 1] for interval in intervals})
     count = sum(len(requests) for requests, _ in exchange.decisions)
     beyond = exchange.state.requested
     for interval in allowed:
         beyond = subtract(beyond, [interval])
     assert measure(beyond) <= 300 * count  # short gaps between what is needed
-    exchange.plan = whole
+    exchange.plan = complete
     exchange.tell(Event(exchange.time))
     run_to_end(exchange)
-    assert exchange.state.mesh == measure_requests(exchange, MESH) == whole.levels[-1].end
-    assert not subtract(whole.states[-1], controller.list_received(exchange.state))
-    table = sum(span.end - span.start for span in whole.first if span.file == TEXTURES)
+    assert exchange.state.mesh == measure_requests(exchange, MESH) == complete.levels[-1].end
+    assert not subtract(complete.states[-1], controller.list_received(exchange.state))
+    table = sum(span.end - span.start for span in complete.first if span.file == TEXTURES)
     assert measure_requests(exchange, TEXTURES) == measure(exchange.state.requested) + table
 
 
@@ -87,13 +87,13 @@ def test_nothing_beyond_the_limits_is_asked_for_until_they_grow(seed):
 @settings(max_examples=15, deadline=None)
 def test_a_direct_plan_asks_for_no_tile_that_would_be_replaced(seed):
     rng = random.Random(seed)
-    whole = random_plan(rng)
-    plan = limit_plan(whole, len(whole.levels) - 1, len(whole.errors[0]) - 1, is_direct=True)
+    complete = random_plan(rng)
+    plan = limit_plan(complete, len(complete.levels) - 1, len(complete.errors[0]) - 1, is_direct=True)
     exchange = Exchange(rng, plan, begin(plan, 0.1, 1e5, keeps_refining=True))
     exchange.tell(Event(0.0))
     run_to_end(exchange)
     count = sum(len(requests) for requests, _ in exchange.decisions)
-    assert measure(whole.states[-1]) <= measure(exchange.state.requested) <= measure(whole.states[-1]) + 300 * count
+    assert measure(complete.states[-1]) <= measure(exchange.state.requested) <= measure(complete.states[-1]) + 300 * count
 
 
 RUNNER = """
@@ -117,14 +117,14 @@ def test_page_limits_plans_like_python_and_takes_what_was_kept(tmp_path):
     cases, expected = [], []
     for seed in range(20):
         rng = random.Random(seed)
-        whole = random_plan(rng)
-        limits = rng.randrange(len(whole.levels)), rng.randrange(len(whole.errors[0])), seed % 2 == 0
-        cases.append({"plan": dataclasses.asdict(hide_table(whole)), "table": list_increments(whole), "limits": limits})
-        expected.append(describe(limit_plan(whole, *limits)))
-    whole = random_plan(random.Random(3), 40)
-    cut = whole.levels[0].end + 5 if len(whole.levels) > 1 else 5
-    textures = [[0, whole.begin + 7], [whole.begin + 50, whole.begin + 90]]
-    kept = {"plan": dataclasses.asdict(hide_table(whole)), "table": list_increments(whole), "mesh": [[0, cut]], "textures": textures}
+        complete = random_plan(rng)
+        limits = rng.randrange(len(complete.levels)), rng.randrange(len(complete.errors[0])), seed % 2 == 0
+        cases.append({"plan": dataclasses.asdict(hide_table(complete)), "table": list_increments(complete), "limits": limits})
+        expected.append(describe(limit_plan(complete, *limits)))
+    complete = random_plan(random.Random(3), 40)
+    cut = complete.levels[0].end + 5 if len(complete.levels) > 1 else 5
+    textures = [[0, complete.begin + 7], [complete.begin + 50, complete.begin + 90]]
+    kept = {"plan": dataclasses.asdict(hide_table(complete)), "table": list_increments(complete), "mesh": [[0, cut]], "textures": textures}
     manifest = {"levels": [{"pixels": size} for size in (15.0, 71.0, 0.0)], "state_pixels": [10.0, 70.0, 100.0, 0.0]}
     sizes = [5, 15, 16, 71, 72, 1e9]
     (tmp_path / "cases.json").write_text(json.dumps({"cases": cases, "manifest": manifest, "sizes": sizes, "kept": kept}))
@@ -134,5 +134,5 @@ def test_page_limits_plans_like_python_and_takes_what_was_kept(tmp_path):
     names = ("levels", "errors", "states", "sizes", "steps")
     assert [[plan[name] for name in names] for plan in plans] == expected
     assert targets == [[0, 0], [0, 1], [1, 1], [1, 2], [2, 2], [2, 3]]
-    pending = [] if cut > whole.levels[0].end else [{"file": MESH, "start": 5, "end": whole.levels[0].end}]
-    assert taken == [max(cut, whole.levels[0].end), pending, [[whole.begin, whole.begin + 7], textures[1]]]
+    pending = [] if cut > complete.levels[0].end else [{"file": MESH, "start": 5, "end": complete.levels[0].end}]
+    assert taken == [max(cut, complete.levels[0].end), pending, [[complete.begin, complete.begin + 7], textures[1]]]

@@ -214,7 +214,7 @@ def test_maps_are_drawn(page, tmp_path, maps, shading, opacity, expected):
 
 
 def test_light_of_rough_and_metallic_surfaces(page, tmp_path):
-    """The right half of a plane is smooth metal, or metal beside plastic. A metal has no matte part, but reflects in its color."""
+    """The right half of a plane is smooth metal, or metal next to plastic. A metal has no matte part, but reflects in its color."""
     half = np.zeros((64, 64, 3), np.uint8)
     half[:, 32:] = 255
     sides, square = {}, plane(8, 8)

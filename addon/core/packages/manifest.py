@@ -122,8 +122,15 @@ class PackageTexture:
 
 @dataclass(frozen=True)
 class PackageMaterial:
-    """A material. base_color: scene-linear RGBA, multiplied with the textures. textures: indices into those of the package, by role.
-    shading: its other factors."""
+    """A material.
+
+    Attributes:
+        name: of the material.
+        base_color: scene-linear RGBA, multiplied with the textures.
+        textures: indices into those of the package, by role.
+        is_double_sided: whether back faces show.
+        shading: its other factors.
+    """
 
     name: str
     base_color: tuple[float, float, float, float]

@@ -32,7 +32,7 @@ from .textures.texture_tiles import TextureSource
 STATES = 6  # Errors of so many states of the textures are measured.
 MIN_BITS, MAX_BITS = 8, 16  # Bits of positions and texture coordinates.
 POSITION_BITS, UV_BITS = 4, 2  # below a pixel and a texel
-TEXTURE_SHARE = 0.5  # of the largest difference that is not seen; the rest is left to the mesh
+TEXTURE_PART = 0.5  # Part of the largest difference that is not seen; the mesh has the others.
 EncodedMesh = tuple[bytes, tuple[MeshLevel, ...], Bounds, Bounds]
 
 
@@ -215,7 +215,7 @@ def _assemble(
         checksums=Section(len(encoded), len(checksums), zlib.crc32(checksums)),
         first_increment=len(encoded) + len(checksums),
         errors=table.predict(built.flips[:, 0]),
-        state_pixels=find_state_pixels(built.flips, settings.pixels, TEXTURE_SHARE * max_difference),
+        state_pixels=find_state_pixels(built.flips, settings.pixels, TEXTURE_PART * max_difference),
         time_limit=settings.time_limit,
         pixels=float(settings.pixels),
     )

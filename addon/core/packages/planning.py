@@ -24,7 +24,7 @@ MAX_IMAGE = 512  # pixels of the renders: larger objects are seen in parts, and 
 VIEWS = 3
 MIN_ERROR = 1e-6  # smaller measured errors count as this, relative to others
 MIN_PREDICTED = 1e-3  # that matters in ratios of errors
-MIN_GROWTH = 1.5  # of errors when images become twice as large as those that were measured
+MIN_GROWTH = 1.5  # Growth of errors when images become twice as large as those that were measured.
 DECIMALS = 4  # Decimals of predicted errors.
 Textures = Sequence[Mipmaps | None]
 

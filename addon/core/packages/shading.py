@@ -1,4 +1,4 @@
-"""How light shows on a material besides its base color: factors that are multiplied with its images, and how its opacity counts."""
+"""How light shows on a material of some base color: factors that are multiplied with its images, and how its opacity counts."""
 
 from dataclasses import dataclass
 from typing import Any

@@ -14,7 +14,7 @@ from .calibration import MIN_ANSWERS, Answer, Threshold, answers_from_rows, answ
 
 MAX_LEVEL = 99
 MAX_ANSWERS = 100_000
-MAX_ANSWER_BYTES = 2**26  # of a file
+MAX_ANSWER_BYTES = 2**26  # Limit of a file.
 
 
 @dataclass(frozen=True)
