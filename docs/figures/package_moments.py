@@ -18,7 +18,7 @@ from lib.package_server import run_server
 GAP = 6  # pixels
 BYTES_PER_SECOND, LATENCY = 8_000.0, 0.05  # a slow connection, so that moments can be told apart where WebGL is computed by the processor
 TIME_LIMIT = 12  # seconds
-MOMENTS = (1.5, 5.5)  # seconds after the start; the last image is the complete model
+MOMENTS = (1.5, 5.5)  # seconds after the start; the last image is the one at the limit
 SIDE = 300  # pixels
 CAPTION = "`${farfield.loader.time.toFixed(1)} s: ${triangles.textContent} triangles`"
 VIEW = "farfield.orbit.set({azimuth: 3.7, elevation: 0.2, zoom: 1.25})"
@@ -46,7 +46,7 @@ def draw_moments(model: Path, texture: Path, folder: Path) -> np.ndarray:
         page.wait_for("triangles.textContent.length > 1", MAX_SECONDS)
         page.evaluate(f"{VIEW}; {PANEL}.hidden = true")
         columns = []
-        for moment in (*(f"farfield.loader.time >= {seconds}" for seconds in MOMENTS), "farfield.isFinished"):
+        for moment in (*(f"farfield.loader.time >= {seconds}" for seconds in MOMENTS), "farfield.loader.picture !== null || farfield.isFinished"):
             page.wait_for(moment, MAX_SECONDS)
             caption = page.evaluate(CAPTION)
             columns.append(add_caption(read_page(page), caption))

@@ -225,6 +225,7 @@ element("refine").addEventListener("change", ({ target }) => {
 });
 element("restart").addEventListener("click", () => load());
 for (const id of ["bandwidth", "limit"]) element(id).addEventListener("change", () => load());
+document.addEventListener("visibilitychange", () => document.hidden && loader?.keepReceived());
 setInterval(showMeasures, FRAME_MILLISECONDS);
 try {
   createRenderer(); // while the manifest comes, not later: nobody would notice the responses to the first requests in time
