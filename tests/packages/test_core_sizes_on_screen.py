@@ -52,7 +52,7 @@ def test_states_look_right_up_to_the_size_where_their_error_is_seen():
     last = np.full((1, 4), 0.001)
     first = np.array([[0.08, 0.04, 0.02, 0.01], [0.04, 0.02, 0.01, 0.005], [0.008, 0.004, 0.002, 0.001]])
     found = find_state_pixels(np.concatenate([first + 0.001, last]), 512, 0.02)
-    assert found == (128.0, 256.0, 1024.0, 0.0)  # not beyond twice the size that was measured
+    assert found == (128.0, 256.0, 512.0, 0.0)  # not beyond the size that was measured
     worse = find_state_pixels(np.concatenate([8.0 * first[:1] + 0.001, last]), 512, 0.02)
     assert worse == (16.0, 0.0)
 

@@ -24,7 +24,6 @@ MAX_IMAGE = 512  # pixels of the renders: larger objects are seen in parts, and 
 VIEWS = 3
 MIN_ERROR = 1e-6  # smaller measured errors count as this, relative to others
 MIN_PREDICTED = 1e-3  # that matters in ratios of errors
-MIN_GROWTH = 1.5  # Growth of errors when images become twice as large as those that were measured.
 DECIMALS = 4  # Decimals of predicted errors.
 Textures = Sequence[Mipmaps | None]
 
@@ -119,26 +118,24 @@ def measure_errors(
 
 def find_state_pixels(flips: np.ndarray, pixels: int, max_difference: float) -> tuple[float, ...]:
     """Return for each state of the textures the size of the object in the image, in pixels, up to which it looks like the last one; 0 for
-    the last one, which is right at all sizes. Sizes never fall.
+    the last one, which is right at all sizes. Sizes never fall, and are at most `pixels`.
 
     Args:
-        flips: (K, N), predicted errors of the states in images of `pixels` pixels, of half as many, and so on. Between these sizes errors
-            are interpolated by logarithms; beyond the largest one they are taken to grow as before, up to twice the size.
+        flips: (K, N), predicted errors of the states in images of `pixels` pixels, of half as many, and so on. Between these sizes the
+            logarithms of errors are interpolated; below the smallest one, errors are taken to be proportional to the size.
     """
-    sizes = [float(pixels) / 2**halvings for halvings in range(flips.shape[1])][::-1]
-    excess = np.maximum(flips - flips[-1:], MIN_ERROR)[:-1, ::-1]
-    growth = np.maximum(excess[:, -1:] / excess[:, -2:-1], MIN_GROWTH)
-    logs = np.log2(np.concatenate([excess, excess[:, -1:] * growth], axis=1) / max_difference)
+    sizes = np.log2(pixels) - np.arange(flips.shape[1])[::-1]
+    errors = np.log2(np.maximum(flips - flips[-1:], MIN_ERROR)[:-1, ::-1] / max_difference)
     found = []
-    for row in logs:
-        step = int(np.argmax(row > 0.0)) if (row > 0.0).any() else len(row)
-        if step == 0:
-            found.append(sizes[0] * 2.0 ** -row[0])
-        elif step == len(row):
-            found.append(2.0 * sizes[-1])
+    for row in errors:
+        step = int(np.argmax(row > 0.0))
+        if row[step] <= 0.0:
+            found.append(sizes[-1])
+        elif step == 0:
+            found.append(sizes[0] - row[0])
         else:
-            found.append(sizes[step - 1] * 2.0 ** (row[step - 1] / (row[step - 1] - row[step])))
-    return (*np.maximum.accumulate(np.round(found, 1)).tolist(), 0.0)
+            found.append(sizes[step - 1] + row[step - 1] / (row[step - 1] - row[step]))
+    return (*np.maximum.accumulate(np.round(np.exp2(found), 1)).tolist(), 0.0)
 
 
 def make_plan(errors: Sequence[Sequence[float]], mesh_sizes: Sequence[int], state_sizes: Sequence[int]) -> tuple[PlanRow, ...]:
