@@ -20,6 +20,7 @@ BYTES_PER_SECOND, LATENCY = 8_000.0, 0.05  # a slow connection, so that moments 
 TIME_LIMIT = 12  # seconds
 MOMENTS = (1.5, 5.5)  # seconds after the start; the last image is the one at the limit
 SIDE = 300  # pixels
+AT_LIMIT = "farfield.loader.picture !== null || farfield.isFinished"
 CAPTION = "`${farfield.loader.time.toFixed(1)} s: ${triangles.textContent} triangles`"
 VIEW = "farfield.orbit.set({azimuth: 3.7, elevation: 0.2, zoom: 1.25})"
 PANEL = "document.querySelector('main')"
@@ -46,7 +47,7 @@ def draw_moments(model: Path, texture: Path, folder: Path) -> np.ndarray:
         page.wait_for("triangles.textContent.length > 1", MAX_SECONDS)
         page.evaluate(f"{VIEW}; {PANEL}.hidden = true")
         columns = []
-        for moment in (*(f"farfield.loader.time >= {seconds}" for seconds in MOMENTS), "farfield.loader.picture !== null || farfield.isFinished"):
+        for moment in (*(f"farfield.loader.time >= {seconds}" for seconds in MOMENTS), AT_LIMIT):
             page.wait_for(moment, MAX_SECONDS)
             caption = page.evaluate(CAPTION)
             columns.append(add_caption(read_page(page), caption))
