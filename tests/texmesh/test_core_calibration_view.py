@@ -81,6 +81,14 @@ def test_an_orthographic_view_is_refused():
         trial.object_matrix(1.0, 0.0, 1)
 
 
+def test_figures_tell_the_factor_of_distances():
+    assert read_figures(json.dumps(FIGURES)).distance_factor == 1.0  # of earlier versions
+    assert read_figures(json.dumps(FIGURES | {"distance_factor": 1.5})).distance_factor == 1.5
+    for value in (0.0, -1.0, None, "1"):
+        with pytest.raises(SettingsError, match="damaged"):
+            read_figures(json.dumps(FIGURES | {"distance_factor": value}))
+
+
 def answers_of_a_judge(seed: int, factor: float = 1.0, count: int = 60) -> list[RecordedAnswer]:
     """Answers of a judge with a threshold of 0.1 who needs `factor` times the distances of FLIP."""
     random = np.random.default_rng(seed)

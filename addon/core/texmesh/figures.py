@@ -60,7 +60,7 @@ def read_figures(text: object) -> LevelFigures:
         candidate_sizes=_read_column(candidates, "pixel_size"),
         weber_fractions=_read_numbers(content.get("weber_fractions")),
         level_triangles=_read_column(levels, "triangles"),
-        distance_factor=float(_read_numbers([content.get("distance_factor", 1.0)])[0]),
+        distance_factor=_read_factor(content.get("distance_factor", 1.0)),
     )
 
 
@@ -73,6 +73,13 @@ def _read_numbers(values: object) -> np.ndarray:
     if not isinstance(values, list) or not 0 < len(values) <= MAX_FIGURES or not all(map(_is_number, values)):
         raise SettingsError("The figures of the levels are damaged; make the levels again.")
     return np.array(values, np.float64)
+
+
+def _read_factor(value: object) -> float:
+    factor = float(_read_numbers([value])[0])
+    if factor <= 0.0:
+        raise SettingsError("The figures of the levels are damaged; make the levels again.")
+    return factor
 
 
 def _is_number(value: object) -> bool:

@@ -166,7 +166,8 @@ export class Loader {
 
   /** Whether everything of the package is received. */
   get isComplete() {
-    return this.isWhole || this.target[0] === this.manifest.levels.length - 1 && this.target[1] === this.manifest.state_pixels.length - 1;
+    const { levels, state_pixels: states } = this.manifest;
+    return this.isWhole || (this.target[0] === levels.length - 1 && this.target[1] === states.length - 1);
   }
 
   #decide(event) {
