@@ -82,7 +82,7 @@ def test_an_orthographic_view_is_refused():
 
 
 def test_figures_tell_the_factor_of_distances():
-    assert read_figures(json.dumps(FIGURES)).distance_factor == 1.0  # of earlier versions
+    assert read_figures(json.dumps(FIGURES)).distance_factor == 1.0  # Figures of earlier versions.
     assert read_figures(json.dumps(FIGURES | {"distance_factor": 1.5})).distance_factor == 1.5
     for value in (0.0, -1.0, None, "1"):
         with pytest.raises(SettingsError, match="damaged"):
