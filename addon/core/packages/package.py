@@ -32,7 +32,7 @@ from .textures.texture_tiles import TextureSource
 STATES = 6  # Errors of so many states of the textures are measured.
 MIN_BITS, MAX_BITS = 8, 16  # Bits of positions and texture coordinates.
 POSITION_BITS, UV_BITS = 4, 2  # below a pixel and a texel
-TEXTURE_PART = 0.25  # Part of the largest difference that is not seen; the mesh has the others.
+TEXTURE_PART = 0.5  # Part of the largest difference that is not seen; the mesh has the others.
 EncodedMesh = tuple[bytes, tuple[MeshLevel, ...], Bounds, Bounds]
 
 
