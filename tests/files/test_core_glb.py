@@ -154,5 +154,5 @@ def test_unusable_meshes_images_and_numbers_are_refused():
         arrange_levels(scene(triangle), [LevelNode("none", "A", np.zeros((2, 3)), np.eye(4))], False, {})
     with pytest.raises(GeometryError, match="not finite; reset transformations"):
         write(scene(triangle), False, np.diag([np.inf, 1.0, 1.0, 1.0]))
-    with pytest.raises(FileError, match="neither PNG nor JPEG"):
+    with pytest.raises(FileError, match="neither PNG, JPEG nor WebP"):
         save_glb({**scene(triangle), "images": [{"content": b"GIF89a"}]})

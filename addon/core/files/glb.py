@@ -27,7 +27,8 @@ Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # from Bl
 GENERATOR = "Farfield"
 ASSET = {"version": "2.0", "generator": GENERATOR}
 MAX_ASSET_BYTES = 256  # The document begins with the name of the program that wrote it.
-IMAGE_TYPES = {PNG_SIGNATURE: "image/png", b"\xff\xd8\xff": "image/jpeg"}  # first bytes of the content
+IMAGE_TYPES = {PNG_SIGNATURE: "image/png", b"\xff\xd8\xff": "image/jpeg", b"RIFF": "image/webp"}  # first bytes of the content
+WEBP = "EXT_texture_webp"
 Document = dict[str, Any]
 
 
@@ -82,7 +83,8 @@ def save_glb(document: Document) -> bytes:
     """Return a document as a file of Farfield. Floats get single precision. The same document gives the same bytes.
 
     Raises:
-        FileError: it would be larger than 4 GB, or an image is neither PNG nor JPEG. GeometryError: it has numbers that are not finite.
+        FileError: it would be larger than 4 GB, or an image is neither PNG, JPEG nor WebP.
+        GeometryError: it has numbers that are not finite.
     """
     buffer = _Buffer()
     meshes = [{**mesh, "primitives": [buffer.add_primitive(part) for part in mesh["primitives"]]} for mesh in document["meshes"]]
@@ -91,6 +93,7 @@ def save_glb(document: Document) -> bytes:
         image["mimeType"] = find_image_type(image.pop("content"))
     result = {"asset": ASSET, "scene": 0, **{key: value for key, value in document.items() if value}, "meshes": meshes}
     result |= {"images": images} if images else {}
+    _mark_webp(result)
     result |= {"accessors": buffer.accessors, "bufferViews": buffer.views, "buffers": [{"byteLength": buffer.length}]}
     try:
         text = json.dumps(result, separators=(",", ":"), allow_nan=False).encode("ascii")
@@ -104,6 +107,21 @@ def save_glb(document: Document) -> bytes:
     return b"".join([*chunks, struct.pack("<II", buffer.length, BINARY_CHUNK), *buffer.parts])
 
 
+def _mark_webp(document: Document) -> None:
+    """Let textures with WebP images name these as an extension prescribes, which readers then need."""
+    images = document.get("images", ())
+    textures = [
+        {**{key: value for key, value in texture.items() if key != "source"}, "extensions": {WEBP: {"source": texture["source"]}}}
+        if "source" in texture and images[texture["source"]]["mimeType"] == "image/webp"
+        else texture
+        for texture in document.get("textures", ())
+    ]
+    if any(WEBP in texture.get("extensions", {}) for texture in textures):
+        document["textures"] = textures
+        for key in ("extensionsUsed", "extensionsRequired"):
+            document[key] = sorted({*document.get(key, ()), WEBP})
+
+
 def load_glb(content: bytes) -> Document:
     """Return the document of a complete file that refers to no other file. Normalized integers become float64."""
     length = struct.unpack_from("<I", content, 12)[0]
@@ -111,6 +129,8 @@ def load_glb(content: bytes) -> Document:
     for part in (part for mesh in document["meshes"] for part in mesh["primitives"]):
         part["attributes"] = {name: _read_accessor(document, binary, index) for name, index in part["attributes"].items()}
         part["indices"] = _read_accessor(document, binary, part["indices"]).ravel().astype(np.int64)
+    for texture in document.get("textures", ()):
+        texture |= texture.get("extensions", {}).get(WEBP, {})
     for image in document.get("images", ()):
         view = document["bufferViews"][image.pop("bufferView")]
         image["content"] = bytes(binary[view.get("byteOffset", 0) :][: view["byteLength"]])
@@ -138,9 +158,9 @@ def find_image_type(content: bytes) -> str:
     """Return the media type of an image file in memory.
 
     Raises:
-        FileError: it is neither PNG nor JPEG.
+        FileError: it is neither PNG, JPEG nor WebP.
     """
     for start, name in IMAGE_TYPES.items():
         if content.startswith(start):
             return name
-    raise FileError("An image for a glTF file is neither PNG nor JPEG; encode it as one of them.")
+    raise FileError("An image for a glTF file is neither PNG, JPEG nor WebP; encode it as one of them.")

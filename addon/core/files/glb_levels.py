@@ -30,6 +30,7 @@ class LevelNode:
         matrix: (4, 4), from the mesh to the world, y upwards.
         levels: indices of the nodes that replace this one as it covers less of the image, finest first.
         coverages: of the node itself and of each level, the fraction of the image down to which it shows.
+        pixel_size: the smallest size of a pixel at which it shows, in the unit of the mesh.
     """
 
     source: str
@@ -38,6 +39,7 @@ class LevelNode:
     matrix: np.ndarray
     levels: tuple[int, ...] = ()
     coverages: tuple[float, ...] = ()
+    pixel_size: float = 0.0
 
     @property
     def grid(self) -> "_Grid":
@@ -83,8 +85,8 @@ def arrange_levels(
         for part in mesh["primitives"]:
             _write_primitive(part, mesh["name"], grids[source] if is_quantized else None, uv_grids)
     for (material, uv_map), grid in uv_grids.items():
-        for texture in _textures(document["materials"][material]):
-            if _uv_map(texture) == uv_map:
+        for _, texture in list_textures(document["materials"][material]):
+            if find_uv_map(texture) == uv_map:
                 placement = texture.setdefault("extensions", {}).setdefault(TEXTURE_TRANSFORM, {})
                 placement |= _move_placement(placement, grid)
     levels = {index for node in nodes for index in node.levels}
@@ -109,7 +111,7 @@ def _merge(document: Document, names: Mapping[str, str], unlit: Collection[str])
     for material in document.get("materials", ()):
         material |= {"extensions": {UNLIT: {}}} if material.get("name") in unlit else {}
         material["name"] = names.get(material.get("name", ""), material.get("name", ""))
-        for texture in _textures(material):
+        for _, texture in list_textures(material):
             texture["index"] = textures[texture["index"]]
     materials = _keep_first(document, "materials")
     for part in _primitives(document):
@@ -129,17 +131,31 @@ def _primitives(document: Document) -> Iterator[Document]:
         yield from mesh["primitives"]
 
 
-def _textures(value: object) -> Iterator[dict[str, Any]]:
-    """Yield the references to textures within a material."""
+def share_images(documents: Sequence[Document]) -> None:
+    """Let equal images of documents be the same object."""
+    files: dict[bytes, bytes] = {}
+    for image in (image for document in documents for image in document.get("images", ())):
+        image["content"] = files.setdefault(image["content"], image["content"])
+
+
+def list_textures(value: object) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the names of textures within a material, such as `baseColorTexture`, and what it says about them."""
     for key, item in value.items() if isinstance(value, dict) else ():
         if key.endswith("Texture"):
-            yield item
+            yield key, item
         else:
-            yield from _textures(item)
+            yield from list_textures(item)
 
 
-def _uv_map(texture: Mapping[str, Any]) -> int:
+def find_uv_map(texture: Mapping[str, Any]) -> int:
+    """Return the number of the UV map by which a material places a texture."""
     return texture.get("extensions", {}).get(TEXTURE_TRANSFORM, {}).get("texCoord", texture.get("texCoord", 0))
+
+
+def turn_of(placement: Mapping[str, Any]) -> np.ndarray:
+    """Return the rotation (2, 2) of texture coordinates, v downwards, by KHR_texture_transform."""
+    angle = placement.get("rotation", 0.0)
+    return np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
 
 
 def _find_uv_grids(document: Document) -> dict[tuple[int, int], _Grid]:
@@ -148,7 +164,7 @@ def _find_uv_grids(document: Document) -> dict[tuple[int, int], _Grid]:
     found: dict[tuple[int, int], list[np.ndarray]] = {}
     for part in _primitives(document):
         if "material" in part:
-            for uv_map in {_uv_map(texture) for texture in _textures(document["materials"][part["material"]])}:
+            for uv_map in {find_uv_map(texture) for _, texture in list_textures(document["materials"][part["material"]])}:
                 uvs = part["attributes"].get(f"TEXCOORD_{uv_map}")
                 if uvs is not None:
                     found.setdefault((part["material"], uv_map), []).append(uvs)
@@ -163,14 +179,14 @@ def _find_uv_grids(document: Document) -> dict[tuple[int, int], _Grid]:
 
 def _move_placement(placement: Mapping[str, Any], grid: _Grid) -> dict[str, list[float]]:
     """Return offset and scale of a texture that was placed by `placement`, for the stored values of a grid."""
-    angle, scale = placement.get("rotation", 0.0), np.array(placement.get("scale", (1.0, 1.0)))
-    turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])  # v is downwards
-    offset = turn @ (scale * grid.offset) + placement.get("offset", (0.0, 0.0))
+    scale = np.array(placement.get("scale", (1.0, 1.0)))
+    offset = turn_of(placement) @ (scale * grid.offset) + placement.get("offset", (0.0, 0.0))
     return {"offset": offset.tolist(), "scale": (scale * grid.scale).tolist()}
 
 
 def _write_primitive(part: Document, name: str, grid: _Grid | None, uv_grids: Mapping[tuple[int, int], _Grid]) -> None:
     """Quantize the attributes of a primitive if there is a `grid` for its positions, and let equal vertices be one."""
+    part["attributes"].pop("TANGENT", None)  # readers compute the same
     attributes = {key: np.asarray(values, np.float32) for key, values in part["attributes"].items()}
     if not all(np.isfinite(values).all() for values in attributes.values()):
         raise GeometryError(f'"{name}" has coordinates or colors that are not finite; repair its mesh.')

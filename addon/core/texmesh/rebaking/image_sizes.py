@@ -1,4 +1,4 @@
-"""The size of the texture of a level: as many texels as the image of the level has pixels where it is shown nearest."""
+"""The size of the images of a level: as many texels as the image of the level has pixels where it is shown nearest."""
 
 import math
 
@@ -6,12 +6,10 @@ import numpy as np
 
 from ...geometry.mesh import face_areas_and_normals
 from ...geometry.transforms import signed_areas
-from ..textured_mesh import TexturedMesh
 
 TEXELS_PER_PIXEL = 1.5  # along a side, at least, where texels are largest: with one, thin lines are blurred visibly
 MIN_SIDE = 128  # Pixels of the longer side of an image; in smaller ones, which save little, UV islands run together.
 SHARP_FRACTION = 0.9  # This fraction of the area has so many texels.
-MAX_SUPERSAMPLES = 1 << 20  # Largest number of samples of an image that is sampled more than twice as finely along each side.
 
 
 def halve_size(size: tuple[int, int], halvings: int) -> tuple[int, int]:
@@ -19,14 +17,15 @@ def halve_size(size: tuple[int, int], halvings: int) -> tuple[int, int]:
     return tuple(-(-side // 2**halvings) for side in size)
 
 
-def choose_halvings(level: TexturedMesh, triangles: np.ndarray, pixel_size: float, size: tuple[int, int]) -> int:
-    """Return how often the sides of a texture can be halved for a level that is shown where pixels are at least `pixel_size` large.
+def choose_halvings(corners: np.ndarray, corner_uvs: np.ndarray, pixel_size: float, size: tuple[int, int]) -> int:
+    """Return how often the sides of an image can be halved on a surface that is shown where pixels are at least `pixel_size` large.
 
     Args:
-        triangles: (K,) indices, those with the texture. pixel_size: in the object's unit. size: width and height of the texture.
+        corners: (T, 3, 3) of triangles in the object's unit. corner_uvs: (T, 3, 2), 1 for a side of the image. pixel_size: in the object's
+            unit. size: width and height of the image.
     """
-    areas, _ = face_areas_and_normals(level.vertices[level.triangles[triangles]])
-    uv_areas = np.abs(signed_areas(level.corner_uvs[triangles]))
+    areas, _ = face_areas_and_normals(corners)
+    uv_areas = np.abs(signed_areas(corner_uvs))
     used = np.flatnonzero((uv_areas > 0.0) & (areas > 0.0))
     most = max(math.floor(math.log2(max(size) / MIN_SIDE)), 0)
     if not len(used):
@@ -36,11 +35,3 @@ def choose_halvings(level: TexturedMesh, triangles: np.ndarray, pixel_size: floa
     cumulative = np.cumsum(areas[used][order])
     longest = float(lengths[order][np.searchsorted(cumulative, SHARP_FRACTION * cumulative[-1])])
     return int(np.clip(math.floor(math.log2(max(pixel_size, longest * 1e-9) / (TEXELS_PER_PIXEL * longest)) + 1e-9), 0, most))
-
-
-def choose_supersampling(size: tuple[int, int], halvings: int) -> int:
-    """Return how many samples a texel has along each side, in an image that is a texture of `size` after `halvings`: a power of two, no
-    more than the texels of the texture, and for small images so many that narrow islands are not missed."""
-    width, height = halve_size(size, halvings)
-    fitting = int(math.log2(max(MAX_SUPERSAMPLES / (width * height), 1.0)) / 2.0)
-    return 2 ** min(halvings, max(fitting, 1))
