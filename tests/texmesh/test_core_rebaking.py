@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from farfield.addon.core.files.glb import Document
-from farfield.addon.core.files.glb_levels import share_images
+from farfield.addon.core.files.glb_levels import merge_images
 from farfield.addon.core.imaging.coded_images import decode, encode
 from farfield.addon.core.imaging.colors import decode_signed_srgb, encode_signed_srgb
 from farfield.addon.core.texmesh.rebaking import image_sizes
@@ -31,10 +31,10 @@ def grid(cells: int, low: float = 0.0, high: float = 1.0, height=lambda x, y: 0.
     a, b, c, d = first, first + cells + 1, first + cells + 2, first + 1
     triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
     step = 1e-5
-    slope_x = (height(x + step, y) - height(x - step, y)) / (2.0 * step)
-    slope_y = (height(x, y + step) - height(x, y - step)) / (2.0 * step)
-    normals = np.stack([-slope_x, np.ones_like(x), slope_y], axis=1)
-    tangents = np.stack([np.ones_like(x), slope_x, 0.0 * x, np.linalg.norm([np.ones_like(x), slope_x], axis=0)], axis=1)
+    gradient_x = (height(x + step, y) - height(x - step, y)) / (2.0 * step)
+    gradient_y = (height(x, y + step) - height(x, y - step)) / (2.0 * step)
+    normals = np.stack([-gradient_x, np.ones_like(x), gradient_y], axis=1)
+    tangents = np.stack([np.ones_like(x), gradient_x, 0.0 * x, np.linalg.norm([np.ones_like(x), gradient_x], axis=0)], axis=1)
     uvs = low + (high - low) * np.stack([x, y], axis=1)
     attributes = {
         "POSITION": np.stack([x, height(x, y), -y], axis=1),
@@ -61,7 +61,7 @@ def document(part: dict[str, Any], images: dict[str, bytes], **material: Any) ->
 def rebake(original: Document, level: Document, pixel_size: float, has_webp: bool = False) -> tuple[Document, list[str]]:
     """Return the document of a level with its own images."""
     original, level = copy.deepcopy(original), copy.deepcopy(level)
-    share_images([original, level])
+    merge_images([original, level])
     levels = [LevelDocument(item, {"object": size}, {}) for item, size in ((original, 0.0), (level, pixel_size))]
     sentences = rebake_images(levels, has_webp)
     return level, sentences
@@ -141,13 +141,13 @@ def bumps(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return 0.02 * np.sin(4.0 * np.pi * x) * np.sin(2.0 * np.pi * y)
 
 
-def slopes_of_bumps(side: int) -> np.ndarray:
+def normals_of_bumps(side: int) -> np.ndarray:
     """The normals (H, W, 3) of the bumps in the frame of the plane."""
     centers = (np.arange(side) + 0.5) / side
     x, y = np.meshgrid(centers, centers)
-    slope_x = 0.08 * np.pi * np.cos(4.0 * np.pi * x) * np.sin(2.0 * np.pi * y)
-    slope_y = 0.04 * np.pi * np.sin(4.0 * np.pi * x) * np.cos(2.0 * np.pi * y)
-    normals = np.stack([-slope_x, -slope_y, np.ones_like(x)], axis=2)
+    gradient_x = 0.08 * np.pi * np.cos(4.0 * np.pi * x) * np.sin(2.0 * np.pi * y)
+    gradient_y = 0.04 * np.pi * np.sin(4.0 * np.pi * x) * np.cos(2.0 * np.pi * y)
+    normals = np.stack([-gradient_x, -gradient_y, np.ones_like(x)], axis=2)
     return normals / np.linalg.norm(normals, axis=2, keepdims=True)
 
 
@@ -160,7 +160,7 @@ def test_a_flat_level_has_the_normals_of_a_bumpy_original():
     original, level = document(grid(96, height=bumps), images), document(grid(1), images)
     found, _ = rebake(original, level, TWICE)
     normals = 2.0 * image_of(found, "normalTexture") - 1.0
-    error = np.linalg.norm(normals - slopes_of_bumps(SIDE // 2), axis=2)
+    error = np.linalg.norm(normals - normals_of_bumps(SIDE // 2), axis=2)
     assert np.median(error) < 0.01 and np.percentile(error, 95) < 0.03
 
 

@@ -17,7 +17,7 @@ from ...core.errors import FileError
 from ...core.files.atomic_write import atomic_folder
 from ...core.files.file_access import convert_os_errors
 from ...core.files.glb import Y_UP, Document, is_own_glb, load_glb, save_glb
-from ...core.files.glb_levels import LevelNode, arrange_levels, share_images
+from ...core.files.glb_levels import COMPRESSIBLE, FULL, LevelNode, arrange_levels, merge_images
 from ...core.files.outputs import Output
 from ...core.files.temporary_folders import temporary_folder
 from ...core.messages import describe_lacking
@@ -61,11 +61,12 @@ def write_levels(sets: Sequence[LevelSet], path: Path, settings: ExportSettings 
             objects.note_document(document)
             pixel_sizes = {node.source: node.pixel_size if is_rebaked else 0.0 for node in nodes[-1]}
             levels.append(LevelDocument(document, pixel_sizes, objects.uv_maps))
-        share_images([level.document for level in levels])
+        merge_images([level.document for level in levels])
         sentences = rebake_images(levels, settings.webp) if is_rebaked or settings.webp else []
         for level, target, found in zip(levels, paths, nodes, strict=True):
-            arranged = arrange_levels(level.document, found, settings.quantized, objects.material_names, objects.unlit)
-            (folder / target.name).write_bytes(save_glb(arranged))
+            precision = None if not settings.quantized else COMPRESSIBLE if settings.compressed else FULL
+            arranged = arrange_levels(level.document, found, precision, objects.material_names, objects.unlit)
+            (folder / target.name).write_bytes(save_glb(arranged, settings.compressed))
         lacking = objects.lacking
     return paths, [*sentences, *describe_lacking(lacking, "The .glb" if settings.one_file else "Each .glb")]
 

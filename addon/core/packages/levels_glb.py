@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..files.glb import Y_UP, Document, save_glb
-from ..files.glb_levels import LevelNode, arrange_levels
+from ..files.glb_levels import FULL, LevelNode, arrange_levels
 from ..geometry.mesh import vertex_normals
 from ..imaging.coded_images import encode
 from ..texmesh.level_chain import LevelChain
@@ -37,7 +37,7 @@ def encode_levels(name: str, chain: LevelChain, materials: Sequence[MaterialSour
         "textures": [{"source": index} for index in range(len(images))],
         "images": [{"content": encode(image, "jpeg", QUALITY)} for image in images.values()],
     }
-    return save_glb(arrange_levels(document, nodes, True, {}))
+    return save_glb(arrange_levels(document, nodes, FULL, {}))
 
 
 def _describe_material(material: MaterialSource, images: Sequence[int]) -> Document:

@@ -83,18 +83,18 @@ def rebake_images(levels: Sequence[LevelDocument], has_webp: bool) -> list[str]:
     for image in _group_by_image(uses):
         try:
             sizes = image.choose_sizes()
-            whole = _encode_whole(image) if has_webp else image.file
+            full = _encode_full(image) if has_webp else image.file
             files, reason = _make_smaller(image, sizes, has_webp)
         except ImageError:  # such as 16 bits per channel
-            sizes, files, whole, reason = [], [{} for _ in levels], image.file, UNREADABLE
+            sizes, files, full, reason = [], [{} for _ in levels], image.file, UNREADABLE
         if reason:
             remarks.setdefault(reason, []).append(image.name)
         for number, found in enumerate(files):
-            if found and sum(map(len, {file.content for file in found.values()})) < len(whole):
+            if found and sum(map(len, {file.content for file in found.values()})) < len(full):
                 chosen[number] |= found
                 sides[number].add(max(sizes[number]))
             else:
-                chosen[number] |= dict.fromkeys(image.uses[number], _NewFile(whole))
+                chosen[number] |= dict.fromkeys(image.uses[number], _NewFile(full))
     for level, found, files in zip(levels, uses, chosen, strict=True):
         for index, file in files.items():
             if file.has_normals:
@@ -158,7 +158,7 @@ def _encode_pixels(pixels: np.ndarray, quality: int, original: bytes, has_webp: 
     return min([*files, *([encode(pixels, "webp", quality)] if has_webp else [])], key=len)
 
 
-def _encode_whole(image: _Image) -> bytes:
+def _encode_full(image: _Image) -> bytes:
     """Return an image as WebP if that needs less bytes."""
     quality = COLOR_QUALITY if COLORS.issuperset(image.list_contents()) else DATA_QUALITY
     return min(image.file, encode(image.pixels, "webp", quality), key=len)

@@ -11,7 +11,7 @@ from ...imaging.images import dilate, to_bytes
 from ...imaging.mipmaps import shrink_by_area
 
 FRACTION_OF_BYTE = (np.arange(256) / 255.0).astype(np.float32)
-COMPONENT_OF_BYTE = 2.0 * FRACTION_OF_BYTE - 1.0  # of a normal
+COMPONENT_OF_BYTE = 2.0 * FRACTION_OF_BYTE - 1.0  # Components of normals.
 
 
 class Content(Enum):
