@@ -236,6 +236,14 @@ def test_sizes_follow_the_distance_and_end_at_a_smallest_one():
     assert sizes == [SIDE, SIDE, SIDE, SIDE // 2, image_sizes.MIN_SIDE]
 
 
+def test_sizes_follow_the_direction_in_which_texels_are_longest():
+    images = {"baseColorTexture": encode(noise(), "png")}
+    stretched = document(grid(2), images)
+    stretched["meshes"][0]["primitives"][0]["attributes"]["POSITION"] *= [4.0, 1.0, 0.25]
+    found, _ = rebake(stretched, stretched, 4.0 * TWICE)
+    assert len(image_of(found, "baseColorTexture")) == SIDE // 2
+
+
 def test_an_image_that_is_placed_more_densely_becomes_smaller():
     """KHR_texture_transform repeats it twice along each side."""
     images = {"baseColorTexture": encode(noise(), "png")}

@@ -1,4 +1,4 @@
-"""The size of the images of a level: as many texels as the image of the level has pixels where it is shown nearest."""
+"""The size of the images of a level: at least as many texels as the image of the level has pixels where it is shown nearest."""
 
 import math
 
@@ -7,7 +7,7 @@ import numpy as np
 from ...geometry.mesh import face_areas_and_normals
 from ...geometry.transforms import signed_areas
 
-TEXELS_PER_PIXEL = 1.5  # along a side, at least, where texels are largest: with one, thin lines are blurred visibly
+TEXELS_PER_PIXEL = 1.5  # At least, where texels are longest: with one, thin lines are blurred visibly.
 MIN_SIDE = 128  # Pixels of the longer side of an image; in smaller ones, which save little, UV islands run together.
 SHARP_FRACTION = 0.9  # This fraction of the area has so many texels.
 
@@ -25,13 +25,25 @@ def choose_halvings(corners: np.ndarray, corner_uvs: np.ndarray, pixel_size: flo
             unit. size: width and height of the image.
     """
     areas, _ = face_areas_and_normals(corners)
-    uv_areas = np.abs(signed_areas(corner_uvs))
-    used = np.flatnonzero((uv_areas > 0.0) & (areas > 0.0))
+    used = np.flatnonzero((signed_areas(corner_uvs) != 0.0) & (areas > 0.0))
     most = max(math.floor(math.log2(max(size) / MIN_SIDE)), 0)
     if not len(used):
         return most
-    lengths = np.sqrt(areas[used] / (uv_areas[used] * size[0] * size[1]))  # Lengths of a texel on the surface.
+    lengths = _find_texel_lengths(corners[used], corner_uvs[used] * size)
     order = np.argsort(lengths)
     cumulative = np.cumsum(areas[used][order])
     longest = float(lengths[order][np.searchsorted(cumulative, SHARP_FRACTION * cumulative[-1])])
     return int(np.clip(math.floor(math.log2(max(pixel_size, longest * 1e-9) / (TEXELS_PER_PIXEL * longest)) + 1e-9), 0, most))
+
+
+def _find_texel_lengths(corners: np.ndarray, texels: np.ndarray) -> np.ndarray:
+    """Return how long a texel is on triangles (T, 3, 3), in the direction in which it is longest, (T,). texels: (T, 3, 2), where corners are
+    in the image."""
+    first, second = (corners[:, index] - corners[:, 0] for index in (1, 2))
+    (first_u, first_v), (second_u, second_v) = ((texels[:, index] - texels[:, 0]).T[..., None] for index in (1, 2))
+    determinant = first_u * second_v - second_u * first_v
+    along_u = (first * second_v - second * first_v) / determinant
+    along_v = (second * first_u - first * second_u) / determinant
+    sums = (along_u**2 + along_v**2).sum(axis=1)
+    area = np.linalg.norm(np.cross(along_u, along_v), axis=1)
+    return np.sqrt(0.5 * (sums + np.sqrt(np.maximum(sums**2 - 4.0 * area**2, 0.0))))  # the largest singular value
