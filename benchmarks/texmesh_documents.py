@@ -12,7 +12,7 @@ from farfield.addon.core.texmesh.rebaking.texture_uses import LevelDocument
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
 NAMES = ("baseColorTexture", "metallicRoughnessTexture", "normalTexture", "emissiveTexture")
-STEEPNESS = 4.0  # of the normal map
+STEEPNESS = 4.0  # Steepness of the normal map.
 
 
 def draw_maps(texture: np.ndarray) -> list[bytes]:

@@ -9,7 +9,9 @@ from ...geometry.transforms import signed_areas
 
 TEXELS_PER_PIXEL = 1.5  # At least, where texels are longest: with one, thin lines are blurred visibly.
 MIN_SIDE = 128  # Pixels of the longer side of an image; in smaller ones, which save little, UV islands run together.
-SHARP_FRACTION = 0.9  # This fraction of the area has so many texels.
+# Fractions of the area that have so many texels, by the root of their area and in the direction in which they are longest: thin islands
+# are stretched, and would otherwise determine the size of the image.
+MEAN_FRACTION, LONGEST_FRACTION = 0.9, 0.5
 
 
 def halve_size(size: tuple[int, int], halvings: int) -> tuple[int, int]:
@@ -29,16 +31,24 @@ def choose_halvings(corners: np.ndarray, corner_uvs: np.ndarray, pixel_size: flo
     most = max(math.floor(math.log2(max(size) / MIN_SIDE)), 0)
     if not len(used):
         return most
-    lengths = _find_texel_lengths(corners[used], corner_uvs[used] * size)
-    order = np.argsort(lengths)
-    cumulative = np.cumsum(areas[used][order])
-    longest = float(lengths[order][np.searchsorted(cumulative, SHARP_FRACTION * cumulative[-1])])
-    return int(np.clip(math.floor(math.log2(max(pixel_size, longest * 1e-9) / (TEXELS_PER_PIXEL * longest)) + 1e-9), 0, most))
+    means, longest = _find_texel_lengths(corners[used], corner_uvs[used] * size)
+    length = max(_find_quantile(means, areas[used], MEAN_FRACTION), _find_quantile(longest, areas[used], LONGEST_FRACTION))
+    return int(np.clip(math.floor(math.log2(max(pixel_size, length * 1e-9) / (TEXELS_PER_PIXEL * length)) + 1e-9), 0, most))
 
 
-def _find_texel_lengths(corners: np.ndarray, texels: np.ndarray) -> np.ndarray:
-    """Return how long a texel is on triangles (T, 3, 3), in the direction in which it is longest, (T,). texels: (T, 3, 2), where corners are
-    in the image."""
+def _find_quantile(values: np.ndarray, weights: np.ndarray, fraction: float) -> float:
+    """Return the value up to which values (N,) have a fraction of the weights (N,)."""
+    order = np.argsort(values)
+    cumulative = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(cumulative, fraction * cumulative[-1])])
+
+
+def _find_texel_lengths(corners: np.ndarray, texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the root of the area of a texel (T,) on triangles, and how long it is (T,) in the direction in which it is longest.
+
+    Args:
+        corners: (T, 3, 3) on the surface. texels: (T, 3, 2) in the image.
+    """
     first, second = (corners[:, index] - corners[:, 0] for index in (1, 2))
     (first_u, first_v), (second_u, second_v) = ((texels[:, index] - texels[:, 0]).T[..., None] for index in (1, 2))
     determinant = first_u * second_v - second_u * first_v
@@ -46,4 +56,5 @@ def _find_texel_lengths(corners: np.ndarray, texels: np.ndarray) -> np.ndarray:
     along_v = (second * first_u - first * second_u) / determinant
     sums = (along_u**2 + along_v**2).sum(axis=1)
     area = np.linalg.norm(np.cross(along_u, along_v), axis=1)
-    return np.sqrt(0.5 * (sums + np.sqrt(np.maximum(sums**2 - 4.0 * area**2, 0.0))))  # the largest singular value
+    largest = np.sqrt(0.5 * (sums + np.sqrt(np.maximum(sums**2 - 4.0 * area**2, 0.0))))  # the largest singular value
+    return np.sqrt(area), largest

@@ -10,7 +10,7 @@ from .tangent_normals import TangentSurface, express_normals, find_normals
 from .texture_uses import TextureUse
 from .uv_layout import repeats_texture
 
-OVERLAPPING = "The normals of these images stay those of the original, since its UV maps use parts of them more than once"
+OVERLAPPING = "The normals of these images stay those of the original, since UV maps use parts of them more than once"
 WITHOUT_FRAMES = "The normals of these images stay those of the original, since they are placed or use another UV map than the active one"
 
 
