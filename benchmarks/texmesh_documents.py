@@ -18,10 +18,13 @@ STEEPNESS = 4.0  # Steepness of the normal map.
 def draw_maps(texture: np.ndarray) -> list[bytes]:
     """Return PNG files of color, roughness, normals and emission that have the patterns of a texture (S, S, 3), linear light."""
     heights = texture.mean(axis=2)
-    gradients = [np.roll(heights, -1, axis=axis) - np.roll(heights, 1, axis=axis) for axis in (1, 0)]
-    normals = normalize(np.stack([*(-STEEPNESS * item for item in gradients), np.ones_like(heights)], axis=2))
-    images = (encode_signed_srgb(texture), texture[..., ::-1], 0.5 + 0.5 * normals, encode_signed_srgb(texture[::-1]))
-    return [encode(np.rint(255.0 * np.clip(image, 0.0, 1.0)).astype(np.uint8), "png") for image in images]
+    pixels = np.empty((4, *texture.shape), np.uint8)
+    for row in range(len(texture)):  # one row at a time, in little memory
+        along, across = np.roll(heights[row], -1) - np.roll(heights[row], 1), heights[(row + 1) % len(heights)] - heights[row - 1]
+        normals = normalize(np.stack([-STEEPNESS * along, -STEEPNESS * across, np.ones_like(along)], axis=1))
+        images = (encode_signed_srgb(texture[row]), texture[row, :, ::-1], 0.5 + 0.5 * normals, encode_signed_srgb(texture[-1 - row]))
+        pixels[:, row] = np.rint(255.0 * np.clip(images, 0.0, 1.0))
+    return [encode(image, "png") for image in pixels]
 
 
 def list_documents(chain: LevelChain, maps: list[bytes]) -> list[LevelDocument]:

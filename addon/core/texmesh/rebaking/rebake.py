@@ -5,8 +5,9 @@ Paper, section I: coarse levels for static use need no texture of the original's
 """
 
 from collections.abc import Collection, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -19,7 +20,8 @@ from .smaller_images import Content, shrink_image, to_pixels
 from .texture_uses import LevelDocument, TextureUse, list_uses, replace_images
 from .uv_layout import find_coverage
 
-PNG_COMPRESSION = 9  # zlib level; images of levels are small
+PNG_COMPRESSION = 6  # zlib level: 9 takes four times as long for files that are a few percent smaller
+MAX_IMAGES = 2  # at once, since each needs much memory
 # Qualities of JPEG and WebP. Errors of normals and of data change the shading.
 COLOR_QUALITY, DATA_QUALITY = 85, 95
 COLORS = {Content.COLOR, Content.TRANSPARENT_COLOR}
@@ -38,6 +40,10 @@ class _Image:
     def pixels(self) -> np.ndarray:
         """(H, W, 3 or 4) uint8. Raises ImageError."""
         return decode(self.file)
+
+    def forget_pixels(self) -> None:
+        """Let them be read again when they are needed."""
+        self.__dict__.pop("pixels", None)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -70,6 +76,16 @@ class _NewFile:
     has_normals: bool = False
 
 
+@dataclass(frozen=True)
+class _ImageFiles:
+    """The files of an image. files: per level, by use. sides: per level, of smaller images in pixels, 0 for others. reason: why it keeps
+    its size or its normals, or an empty string."""
+
+    files: list[dict[int, _NewFile]]
+    sides: list[int]
+    reason: str
+
+
 def rebake_images(levels: Sequence[LevelDocument], has_webp: bool) -> list[str]:
     """Give each level images of its own, unless they need more bytes than those of the original, the first level, which keeps its images.
     Return sentences about them.
@@ -80,27 +96,38 @@ def rebake_images(levels: Sequence[LevelDocument], has_webp: bool) -> list[str]:
     chosen: list[dict[int, _NewFile]] = [{} for _ in levels]
     sides: list[set[int]] = [set() for _ in levels]
     remarks: dict[str, list[str]] = {}
-    for image in _group_by_image(uses):
-        try:
-            sizes = image.choose_sizes()
-            full = _encode_full(image) if has_webp else image.file
-            files, reason = _make_smaller(image, sizes, has_webp)
-        except ImageError:  # such as 16 bits per channel
-            sizes, files, full, reason = [], [{} for _ in levels], image.file, UNREADABLE
-        if reason:
-            remarks.setdefault(reason, []).append(image.name)
-        for number, found in enumerate(files):
-            if found and sum(map(len, {file.content for file in found.values()})) < len(full):
-                chosen[number] |= found
-                sides[number].add(max(sizes[number]))
-            else:
-                chosen[number] |= dict.fromkeys(image.uses[number], _NewFile(full))
+    images = _group_by_image(uses)
+    with ThreadPoolExecutor(MAX_IMAGES) as threads:
+        for image, made in zip(images, threads.map(partial(_choose_files, has_webp=has_webp), images), strict=True):
+            if made.reason:
+                remarks.setdefault(made.reason, []).append(image.name)
+            for number, files in enumerate(made.files):
+                chosen[number] |= files
+                sides[number] |= {made.sides[number]} - {0}
     for level, found, files in zip(levels, uses, chosen, strict=True):
         for index, file in files.items():
             if file.has_normals:
                 found[index].reference.pop("scale", None)
         replace_images(level.document, found, {index: file.content for index, file in files.items()})
     return _describe(sides, remarks)
+
+
+def _choose_files(image: _Image, has_webp: bool) -> _ImageFiles:
+    """Return the files of an image in all levels."""
+    try:
+        sizes = image.choose_sizes()
+        full = _encode_full(image) if has_webp else image.file
+        smaller, reason = _make_smaller(image, sizes, has_webp)
+    except ImageError:  # such as 16 bits per channel
+        return _ImageFiles([{} for _ in image.uses], [0] * len(image.uses), UNREADABLE)
+    finally:
+        image.forget_pixels()
+    files, sides = [], []
+    for uses, found, size in zip(image.uses, smaller, sizes, strict=True):
+        is_smaller = bool(found) and sum(map(len, {file.content for file in found.values()})) < len(full)
+        files.append(found if is_smaller else dict.fromkeys(uses, _NewFile(full)))
+        sides.append(max(size) if is_smaller else 0)
+    return _ImageFiles(files, sides, reason)
 
 
 def _choose_halvings(use: TextureUse, size: tuple[int, int]) -> int:
