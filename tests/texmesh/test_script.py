@@ -113,6 +113,7 @@ def test_levels_have_smaller_images_and_normals_for_their_surface(folder):
     for name, flags in {"own": (), "same": ("--no-rebake-textures",), "webp": ("--webp",), "one": ("--one-file",)}.items():
         summary, _ = make(path, "--ratios", "0.1", *flags, out=f"{name}.glb")
         assert ("Images of levels have 128 pixels per side." in summary) == (name in ("own", "webp"))
+        assert "normals of these images stay" not in summary
         for file in sorted(folder.glob(f"{name}*.glb")):
             texmesh.scene_files.open_scene(file)
             sizes[file.stem] = sorted(image.size[0] for image in bpy.data.images if image.size[0])

@@ -8,6 +8,7 @@ from collections.abc import Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from threading import Lock
 
 import numpy as np
 
@@ -59,13 +60,31 @@ class _Image:
         halvings = [min((_choose_halvings(use, self.size) for use in uses.values()), default=0) for uses in self.uses]
         return [halve_size(self.size, count) for count in halvings]
 
-    def find_coverage(self) -> np.ndarray | None:
-        """Return which texels (H, W) triangles of the original cover, None if all count."""
-        uvs = [(use, corners) for use in self.uses[0].values() for corners in use.list_uvs()]
-        if any(not use.is_repeated and (corners.min() < 0.0 or corners.max() > 1.0) for use, corners in uvs):
-            return None
-        coverage = find_coverage(np.concatenate([corners for _, corners in uvs]), self.size)
-        return coverage if coverage.any() else None
+
+@dataclass(eq=False)
+class _Coverages:
+    """Which texels triangles of the original cover: computed once for all images of a size that are placed alike."""
+
+    lock: Lock = field(default_factory=Lock)
+    found: dict[tuple, np.ndarray | None] = field(default_factory=dict)
+
+    def find(self, image: _Image) -> np.ndarray | None:
+        """Return the coverage (H, W) of an image, None if all texels count."""
+        uses = list(image.uses[0].values())
+        placements = {(id(part.primitive), str(use.reference | {"index": 0}), use.is_repeated) for use in uses for part in use.parts}
+        with self.lock:
+            key = (image.size, frozenset(placements))
+            if key not in self.found:
+                self.found[key] = _find_coverage(uses, image.size)
+            return self.found[key]
+
+
+def _find_coverage(uses: Sequence[TextureUse], size: tuple[int, int]) -> np.ndarray | None:
+    uvs = [(use, corners) for use in uses for corners in use.list_uvs()]
+    if any(not use.is_repeated and (corners.min() < 0.0 or corners.max() > 1.0) for use, corners in uvs):
+        return None
+    coverage = find_coverage(np.concatenate([corners for _, corners in uvs]), size)
+    return coverage if coverage.any() else None
 
 
 @dataclass(frozen=True)
@@ -98,7 +117,7 @@ def rebake_images(levels: Sequence[LevelDocument], has_webp: bool) -> list[str]:
     remarks: dict[str, list[str]] = {}
     images = _group_by_image(uses)
     with ThreadPoolExecutor(MAX_IMAGES) as threads:
-        for image, made in zip(images, threads.map(partial(_choose_files, has_webp=has_webp), images), strict=True):
+        for image, made in zip(images, threads.map(partial(_choose_files, coverages=_Coverages(), has_webp=has_webp), images), strict=True):
             if made.reason:
                 remarks.setdefault(made.reason, []).append(image.name)
             for number, files in enumerate(made.files):
@@ -112,12 +131,12 @@ def rebake_images(levels: Sequence[LevelDocument], has_webp: bool) -> list[str]:
     return _describe(sides, remarks)
 
 
-def _choose_files(image: _Image, has_webp: bool) -> _ImageFiles:
+def _choose_files(image: _Image, coverages: _Coverages, has_webp: bool) -> _ImageFiles:
     """Return the files of an image in all levels."""
     try:
         sizes = image.choose_sizes()
         full = _encode_full(image) if has_webp else image.file
-        smaller, reason = _make_smaller(image, sizes, has_webp)
+        smaller, reason = _make_smaller(image, sizes, coverages, has_webp)
     except ImageError:  # such as 16 bits per channel
         return _ImageFiles([{} for _ in image.uses], [0] * len(image.uses), UNREADABLE)
     finally:
@@ -148,12 +167,14 @@ def _group_by_image(uses: Sequence[Sequence[TextureUse]]) -> list[_Image]:
     return list(images.values())
 
 
-def _make_smaller(image: _Image, sizes: Sequence[tuple[int, int]], has_webp: bool) -> tuple[list[dict[int, _NewFile]], str]:
+def _make_smaller(
+    image: _Image, sizes: Sequence[tuple[int, int]], coverages: _Coverages, has_webp: bool
+) -> tuple[list[dict[int, _NewFile]], str]:
     """Return the files that replace an image by use, per level, and why its normals stay, "" if they do not. There are none where the size
     is that of the original."""
     files: list[dict[int, _NewFile]] = [{} for _ in sizes]
     smaller = sorted(set(sizes) - {image.size}, reverse=True)
-    coverage, reason = image.find_coverage() if smaller else None, ""
+    coverage, reason = coverages.find(image) if smaller else None, ""
     for content in image.list_contents() if smaller else ():
         used = [{index: use for index, use in uses.items() if use.content is content} for uses in image.uses]
         maps = NormalMaps.of([list(uses.values()) for uses in used], image.size) if content is Content.NORMAL else None
