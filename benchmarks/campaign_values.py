@@ -50,7 +50,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "pyramid_levels": (1, 3), "views": (1, 3), "max_image": (16, 48), "number": (2, 4), "pixels": (16, 48), "max_pixels": (8, 48),
     "size": (16, 64), "tile_size": (16, 64),
 }  # fmt: skip
-NO_FLAGS = {("packages", "vertices"), ("packages", "rebake_textures")}  # Packages do not leave these open.
+NO_FLAGS = {("packages", "vertices")}  # Packages do not leave these open.
 EXECUTORS = ("serial", "processes", "processes:2", "processes:0", "dask:tcp://127.0.0.1:1", "threads", "")
 
 

@@ -25,7 +25,7 @@ import numpy as np
 environment.import_farfield()
 
 from farfield.addon.core.files.glb import Document, save_glb
-from farfield.addon.core.files.glb_levels import LevelNode, arrange_levels
+from farfield.addon.core.files.glb_levels import FULL, LevelNode, arrange_levels
 from farfield.addon.core.files.temporary_folders import temporary_folder
 from farfield.addon.core.imaging.coded_images import encode
 
@@ -105,7 +105,7 @@ def validate_scenes(validator: Path) -> dict[str, Any]:
         for is_quantized in (False, True):
             for name, (document, nodes) in make_scenes().items():
                 path = folder / f"{len(results)}.glb"
-                path.write_bytes(save_glb(arrange_levels(document, nodes, is_quantized, {})))
+                path.write_bytes(save_glb(arrange_levels(document, nodes, FULL if is_quantized else None, {})))
                 label = f"{name}, {'quantized' if is_quantized else 'plain'}"
                 results[label] = {"bytes": path.stat().st_size, **validate(path, validator)}
     return results

@@ -22,11 +22,12 @@ from texmesh_chains import TexturedModel, make_chain, model_names, open_textured
 from farfield.addon.core.imaging.coded_images import encode
 from farfield.addon.core.imaging.colors import encode_signed_srgb
 from farfield.addon.core.imaging.mipmaps import Mipmaps, build_mipmaps
-from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.texmesh.level_chain import LevelChain
 from farfield.addon.core.texmesh.perception.level_images import LevelImages, measure_difference
 from farfield.addon.core.texmesh.perception.views import frame_around, prepare_surface
-from farfield.addon.core.texmesh.rebaking.rebake import rebake_textures
+from farfield.addon.core.texmesh.rebaking.image_sizes import choose_halvings, halve_size
+from farfield.addon.core.texmesh.rebaking.smaller_images import Content, shrink_image
+from farfield.addon.core.texmesh.rebaking.uv_layout import find_coverage
 from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh
 
@@ -108,7 +109,7 @@ def write_source(mesh: TexturedMesh, folder: Path) -> Path:
 
 
 def measure_rebakes(given: Namespace) -> dict[str, Any]:
-    """Return figures of the levels of all models, with the original's and with rebaked textures."""
+    """Return figures of the levels of all models, with the original's and with smaller textures."""
     results = {}
     for name in model_names(given):
         model, chain = open_textured(given.data, name, given.seed), make_chain(given.data, name, given.seed)
@@ -121,8 +122,7 @@ def compare_textures(model: TexturedModel, chain: LevelChain, directions: np.nda
     """Return the figures of one model: bytes of its images, CPU seconds, and per level sizes and bytes of images, and the largest mean
     FLIP in `directions` against the original and against the finer level, at the switch and nearer, without and with rebaking."""
     levels, started = chain.levels[1:], time.process_time()
-    steps = rebake_textures(model.mesh, model.textures, [level.mesh for level in levels], [level.pixel_size for level in levels])
-    rebaked = run_to_end(steps)
+    rebaked = [make_smaller(model, level.mesh, level.pixel_size) for level in levels]
     seconds = time.process_time() - started
     settings, frame = TexmeshSettings(), frame_around(model.mesh.vertices)
 
@@ -132,7 +132,7 @@ def compare_textures(model: TexturedModel, chain: LevelChain, directions: np.nda
     shared = model.mipmaps
     original = finer = finer_rebaked = view(model.mesh, shared)
     rows = []
-    for level, textures in zip(levels, rebaked.levels, strict=True):
+    for level, textures in zip(levels, rebaked, strict=True):
         own = [mipmaps if texture is None else build_mipmaps(texture) for mipmaps, texture in zip(shared, textures, strict=True)]
         plain, changed = view(level.mesh, shared), view(level.mesh, own)
         row: dict[str, Any] = {"triangles": len(level.mesh.triangles), "pixels": level.switch.pixels, **measure_images(textures)}
@@ -146,7 +146,21 @@ def compare_textures(model: TexturedModel, chain: LevelChain, directions: np.nda
             row[label] = {name: round(float(measure_difference(*pair, size, range(VIEWS)).means.max()), 4) for name, pair in pairs.items()}
         finer, finer_rebaked = plain, changed
         rows.append(row)
-    return {"seconds": round(seconds, 1), "repeated": list(rebaked.repeated), "original": measure_images(model.textures), "levels": rows}
+    return {"seconds": round(seconds, 1), "original": measure_images(model.textures), "levels": rows}
+
+
+def make_smaller(model: TexturedModel, mesh: TexturedMesh, pixel_size: float) -> tuple[np.ndarray | None, ...]:
+    """Return the textures (H, W, 3) of a level by material, linear light, in the size for pixels of `pixel_size`."""
+    made: dict[int, np.ndarray] = {}
+    for texture in (texture for texture in model.textures if texture is not None and id(texture) not in made):
+        materials = [material for material, item in enumerate(model.textures) if item is texture]
+        rows, original = np.isin(mesh.materials, materials), np.isin(model.mesh.materials, materials)
+        size = texture.shape[1::-1]
+        halvings = choose_halvings(mesh.vertices[mesh.triangles[rows]], mesh.corner_uvs[rows], pixel_size, size)
+        coverage = find_coverage(model.mesh.corner_uvs[original], size)
+        pixels = np.rint(255.0 * np.clip(encode_signed_srgb(texture), 0.0, 1.0)).astype(np.uint8)
+        (made[id(texture)],) = shrink_image(pixels, coverage, Content.COLOR, [halve_size(size, halvings)])
+    return tuple(None if texture is None else made[id(texture)] for texture in model.textures)
 
 
 def measure_images(textures: tuple[np.ndarray | None, ...]) -> dict[str, Any]:

@@ -32,6 +32,7 @@ WHEELS = [
     "fast-simplification==0.2.0",
     "threadpoolctl==3.8.0",
     "tifffile==2026.3.3",  # the last version for Python 3.11
+    "meshopt==0.1.0",  # meshoptimizer's codecs for .glb files; the last version for Python 3.11
     "pillow==13.0.0",  # codes texture tiles as JPEG, WebP and PNG, and decodes images, without Blender
 ]  # bundled with the extension, the same for both Pythons
 DEVELOPMENT = [  # not bundled

@@ -28,7 +28,7 @@ from farfield.addon.core.jobs.progress import StageClock, run_to_end
 from farfield.addon.core.messages import join_sentences
 from farfield.addon.core.settings import add_flags
 from farfield.addon.core.texmesh.scale_space.features import ScaleMap
-from farfield.addon.core.texmesh.settings import AnalysisSettings, SceneSettings, TexmeshSettings
+from farfield.addon.core.texmesh.settings import AnalysisSettings, ExportSettings, SceneSettings, TexmeshSettings
 from farfield.addon.operators.job_run import run_job
 from farfield.addon.operators.texmesh.job import AnalysisJob, LevelsJob, describe_chain, prepare_analysis, prepare_levels
 from lib import command_line, run_files, scene_files
@@ -52,13 +52,11 @@ def build_parser() -> command_line.Parser:
     levels.add_argument(
         "--out", type=run_files.OUTPUT_SCENE.ending_in(*EXTENSIONS), required=True, help="the file to write: .blend or .glb"
     )
-    levels.add_argument("--one-file", action="store_true", help="write one .glb with all levels (MSFT_lod) instead of one per level")
-    levels.add_argument("--no-quantized", dest="quantized", action="store_false", help="store numbers in a .glb in single precision")
     add_answers_flag(levels)
     analyze.add_argument(
         "--plot", type=run_files.OUTPUT.ending_in(".png"), help="draw features and ranges of the largest mesh to this PNG file"
     )
-    for settings_type in (TexmeshSettings, SceneSettings):
+    for settings_type in (TexmeshSettings, SceneSettings, ExportSettings):
         add_flags(levels, settings_type)
     add_flags(analyze, AnalysisSettings)
     return parser
@@ -72,22 +70,22 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
 
 def make_levels(given: Namespace, line: command_line.ProgressLine) -> str:
     """Make levels and write them."""
-    settings, scene_settings = read_level_settings(given), command_line.read_settings(given, SceneSettings)[SceneSettings]
+    settings, others = read_level_settings(given), command_line.read_settings(given, SceneSettings, ExportSettings)
     out = given.out.absolute()
-    if out.suffix.lower() == ".glb" and not given.one_file:
+    if out.suffix.lower() == ".glb" and not others[ExportSettings].one_file:
         given.files.check(level_outputs(out, [output.path.absolute() for output in given.files.outputs]))
     clock = StageClock()
     with clock.stage("read"):
         objects, moved = open_objects(given)
-        job = prepare_levels(bpy.context, objects, settings, scene_settings)
+        job = prepare_levels(bpy.context, objects, settings, others[SceneSettings])
         job.skipped.extend(scene_files.describe_missing())
     with clock.stage("levels"):
         summary = run_to_end(run_job(job), line.show)
     line.clear()
     with clock.stage("write"):
-        lacking = write_output(job, out, given)
+        sentences = write_output(job, out, others[ExportSettings])
     write_report(given, [{"name": name, **describe_chain(chain)} for name, chain in named_chains(job)], job.skipped, clock)
-    return join_sentences([summary, moved, *lacking])
+    return join_sentences([summary, moved, *sentences])
 
 
 def analyze(given: Namespace, line: command_line.ProgressLine) -> str:
@@ -107,14 +105,14 @@ def analyze(given: Namespace, line: command_line.ProgressLine) -> str:
     return join_sentences([summary, moved])
 
 
-def write_output(job: LevelsJob, out: Path, given: Namespace) -> list[str]:
-    """Write the scene, or the levels as .glb, depending on the extension of `out`. Return sentences about what the output lacks."""
+def write_output(job: LevelsJob, out: Path, settings: ExportSettings) -> list[str]:
+    """Write the scene, or the levels as .glb, depending on the extension of `out`. Return sentences about the output."""
     if out.suffix.lower() == ".blend":
         scene_files.save_scene(out)
         return []
-    with mute_stderr():  # libraries print about damaged images, which `lacking` names
-        _, lacking = write_levels([read_level_set(bpy.data.collections[name]) for name in job.chains], out, given.quantized, given.one_file)
-    return lacking
+    with mute_stderr():  # libraries print about damaged images, which a sentence names
+        _, sentences = write_levels([read_level_set(bpy.data.collections[name]) for name in job.chains], out, settings)
+    return sentences
 
 
 def named_chains(job: LevelsJob) -> list[tuple[str, Any]]:

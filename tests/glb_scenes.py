@@ -8,7 +8,7 @@ from bridge.blender_scenes import shader_of
 from farfield.addon.bridge.texmesh.glb_levels import export_collection
 from farfield.addon.bridge.texmesh.glb_objects import GlbObjects
 from farfield.addon.core.files.glb import save_glb
-from farfield.addon.core.files.glb_levels import LevelNode, arrange_levels
+from farfield.addon.core.files.glb_levels import FULL, LevelNode, arrange_levels
 from farfield.addon.core.imaging.coded_images import decode
 from glb_reader import ReadGlb, parse_glb, read_document
 from textured_scenes import textured_material
@@ -124,7 +124,7 @@ def encode(*items: bpy.types.Object, is_quantized: bool = False) -> tuple[bytes,
         nodes = [LevelNode(objects.add(item, "Level"), item.name, BOUNDS, np.eye(4)) for item in items]
         document = export_collection(objects.collection)
         objects.note_document(document)
-        encoded = save_glb(arrange_levels(document, nodes, is_quantized, objects.material_names, objects.unlit))
+        encoded = save_glb(arrange_levels(document, nodes, FULL if is_quantized else None, objects.material_names, objects.unlit))
         return encoded, {name: labels for name, labels in objects.lacking.items() if name != "Level"}
 
 

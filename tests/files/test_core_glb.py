@@ -1,12 +1,16 @@
 """Binary glTF files: what is written is read again, to the precision of its encoding, and levels are rounded alike."""
 
+import json
+import struct
+
+import meshopt
 import numpy as np
 import pytest
 
 import shapes
 from farfield.addon.core.errors import FileError, GeometryError
 from farfield.addon.core.files.glb import Document, save_glb
-from farfield.addon.core.files.glb_levels import LevelNode, arrange_levels
+from farfield.addon.core.files.glb_levels import COMPRESSIBLE, FULL, LevelNode, arrange_levels
 from farfield.addon.core.imaging.coded_images import encode
 from glb_reader import ReadGlb, parse_glb
 
@@ -47,7 +51,9 @@ def bounds_of(part: Document) -> np.ndarray:
 def write(document: Document, is_quantized: bool = True, matrix: np.ndarray | None = None, names=None, **options) -> bytes:
     bounds = bounds_of(document["meshes"][0]["primitives"][0])
     node = LevelNode("mesh", "object", bounds, np.eye(4) if matrix is None else matrix)
-    return save_glb(arrange_levels(document, [node], is_quantized, {"painted": "Paint"} if names is None else names, **options))
+    return save_glb(
+        arrange_levels(document, [node], FULL if is_quantized else None, {"painted": "Paint"} if names is None else names, **options)
+    )
 
 
 def read(*arguments, **options) -> ReadGlb:
@@ -98,7 +104,7 @@ def test_levels_with_the_same_bounds_have_equal_positions_and_are_found_again():
     document["nodes"].append({"name": "coarse", "mesh": 1})
     document["meshes"].append({"name": "coarse", "primitives": [coarse]})
     nodes = [LevelNode("mesh", "A", bounds_of(fine), np.eye(4), (1,), (0.5, 0.01)), LevelNode("coarse", "B", bounds_of(fine), np.eye(4))]
-    found = parse_glb(save_glb(arrange_levels(document, nodes, True, {})))
+    found = parse_glb(save_glb(arrange_levels(document, nodes, FULL, {})))
     assert found.nodes[0].levels == (1,) and found.nodes[0].coverages == (0.5, 0.01)
     assert [node.name for node in found.nodes] == [mesh.name for mesh in found.meshes] == ["A", "B"]
     assert np.array_equal(found.world_positions(0)[:40], found.world_positions(1))
@@ -151,8 +157,78 @@ def test_unusable_meshes_images_and_numbers_are_refused():
     with pytest.raises(GeometryError, match=r'"object" has coordinates .* finite'):
         write(scene(plain(np.eye(3) * np.nan, np.arange(3))), False)
     with pytest.raises(GeometryError, match='"A" has no triangles'):
-        arrange_levels(scene(triangle), [LevelNode("none", "A", np.zeros((2, 3)), np.eye(4))], False, {})
+        arrange_levels(scene(triangle), [LevelNode("none", "A", np.zeros((2, 3)), np.eye(4))], None, {})
     with pytest.raises(GeometryError, match="not finite; reset transformations"):
         write(scene(triangle), False, np.diag([np.inf, 1.0, 1.0, 1.0]))
-    with pytest.raises(FileError, match="neither PNG nor JPEG"):
+    with pytest.raises(FileError, match="neither PNG, JPEG nor WebP"):
         save_glb({**scene(triangle), "images": [{"content": b"GIF89a"}]})
+
+
+def test_equal_meshes_are_one_and_others_are_not():
+    parts = [primitive(6), primitive(6), primitive(7)]
+    document = scene(parts[0])
+    for index in (1, 2):
+        document["nodes"].append({"name": f"mesh{index}", "mesh": index})
+        document["meshes"].append({"name": f"mesh{index}", "primitives": [parts[index]]})
+    bounds = bounds_of(parts[2])
+    nodes = [LevelNode(name, name, bounds, np.eye(4)) for name in ("mesh", "mesh1", "mesh2")]
+    found = parse_glb(save_glb(arrange_levels(document, nodes, FULL, {})))
+    assert [node.mesh for node in found.nodes] == [0, 0, 1] and len(found.meshes) == 2
+    assert found.nodes[1].name == "mesh1" and np.ptp(found.world_positions(2), axis=0) == pytest.approx(np.ptp(bounds, axis=0), abs=1e-3)
+
+
+def corner_values(found: ReadGlb) -> list[dict[str, np.ndarray]]:
+    """The attributes of the corners of triangles (T, 3, C) per primitive, in an order of triangles and corners that files do not determine:
+    UVs as the first texture shows them."""
+    values = []
+    for mesh, node in zip(found.meshes, found.nodes, strict=True):
+        for part in mesh.primitives:
+            arrays = {**part.attributes, "POSITION": part.positions @ node.matrix[:3, :3].T + node.matrix[:3, 3]}
+            if part.material == 0:
+                placed = found.materials[0]["pbrMetallicRoughness"]["baseColorTexture"]["matrix"]
+                arrays["TEXCOORD_0"] = arrays["TEXCOORD_0"] @ placed[:, :2].T + placed[:, 2]
+            corners = {name: array[part.triangles] for name, array in arrays.items()}
+            keys = np.rint(500.0 * corners["POSITION"]) @ [1e8, 1e4, 1.0]
+            turned = (keys.argmin(axis=1)[:, None] + np.arange(3)) % 3
+            order = np.lexsort(np.take_along_axis(keys, turned, axis=1).T)
+            values.append({name: np.take_along_axis(array, turned[..., None], axis=1)[order] for name, array in corners.items()})
+    return values
+
+
+@pytest.mark.parametrize("precision", [None, COMPRESSIBLE])
+def test_a_compressed_file_holds_the_same_triangles_in_less_bytes(precision):
+    nodes = [LevelNode("mesh", "object", bounds_of(primitive(24)), np.eye(4))]
+    files = []
+    for is_compressed in (False, True):
+        document = arrange_levels(scene(primitive(24), primitive(5, 1)), nodes, precision, {})
+        files.append(save_glb(document, is_compressed))
+    plain_file, compressed = files
+    assert len(compressed) < (0.8 if precision is None else 0.65) * len(plain_file)
+    document = read_json(compressed)
+    assert "EXT_meshopt_compression" in document["extensionsRequired"] and len(document["buffers"]) == 2
+    for found, expected in zip(corner_values(parse_glb(decompress(compressed))), corner_values(parse_glb(plain_file)), strict=True):
+        for name, values in expected.items():
+            np.testing.assert_allclose(found[name], values, atol=0.02 if name == "NORMAL" else 1e-6)
+
+
+def read_json(file: bytes) -> Document:
+    return json.loads(file[20 : 20 + struct.unpack_from("<I", file, 12)[0]])
+
+
+def decompress(file: bytes) -> bytes:
+    """Return a file without EXT_meshopt_compression: views are decoded by meshoptimizer."""
+    document, start = read_json(file), 28 + struct.unpack_from("<I", file, 12)[0]
+    binary, parts = file[start:], []
+    for view in document["bufferViews"]:
+        coded = view.pop("extensions", {}).get("EXT_meshopt_compression", {**view, "mode": ""})
+        content = binary[coded.get("byteOffset", 0) :][: coded["byteLength"]]
+        if coded["mode"]:
+            content = meshopt.decode_gltf_buffer(content, coded["count"], coded["byteStride"], coded["mode"], coded.get("filter")).tobytes()
+            assert len(content) == view["byteLength"] and view["buffer"] == 1
+        view |= {"buffer": 0, "byteOffset": sum(map(len, parts))}
+        parts += [content, bytes(-len(content) % 4)]
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    chunk = b"".join(parts)
+    length = 28 + len(text) + len(chunk)
+    return struct.pack("<4sIIII", b"glTF", 2, length, len(text), 0x4E4F534A) + text + struct.pack("<II", len(chunk), 0x004E4942) + chunk

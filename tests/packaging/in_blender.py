@@ -53,7 +53,7 @@ def main() -> None:
             results["baked"] = [item.data.materials[0].name for item in bpy.data.objects if item.get("farfield_kind") == "cloud"]
         addon_utils.disable(MODULE, default_set=True, handle_error=raise_error)
         results["disabled"].append(registered_classes())
-    bundled = ("scipy", "xatlas", "fast_simplification", "threadpoolctl", "tifffile", "PIL")
+    bundled = ("scipy", "xatlas", "fast_simplification", "threadpoolctl", "tifffile", "PIL", "meshopt")
     results["wheels"] = {name: sys.modules[name].__file__ for name in bundled if name in sys.modules}
     print("RESULTS " + json.dumps(results))
 

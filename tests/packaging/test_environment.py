@@ -124,7 +124,7 @@ def test_a_python_of_another_version_is_never_used(monkeypatch):
 
 def test_locks_are_exact_hashed_and_agree_with_the_zip():
     bundled = pins(environment.ROOT / "requirements" / "wheels.txt")
-    assert set(bundled) == {"scipy", "xatlas", "fast-simplification", "threadpoolctl", "tifffile", "pillow"}
+    assert set(bundled) == {"scipy", "xatlas", "fast-simplification", "threadpoolctl", "tifffile", "pillow", "meshopt"}
     for lock in environment.LOCKS:
         versions = pins(lock.path)
         assert versions["bpy"].startswith(lock.blender + ".")

@@ -97,7 +97,8 @@ def test_zip_contains_the_wheels_of_both_pythons_but_not_numpy(archive):
     assert len(manifest["platforms"]) == 1
     bundled = {(name.split("/")[1].split("-")[0].lower(), name.split("-")[2]) for name in wheels}
     binary_wheels = {(package, python) for package in ("scipy", "xatlas", "fast_simplification", "pillow") for python in ("cp311", "cp313")}
-    assert bundled == binary_wheels | {("threadpoolctl", "py3"), ("tifffile", "py3")}
+    stable = {("meshopt", "cp311"), ("meshopt", "cp312"), ("threadpoolctl", "py3"), ("tifffile", "py3")}
+    assert bundled == binary_wheels | stable
 
 
 def test_enabling_registers_the_tab_and_disabling_removes_everything(results):

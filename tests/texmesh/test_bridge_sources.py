@@ -6,7 +6,7 @@ import pytest
 
 from farfield.addon.bridge.shading.surface_reader import read_surface
 from farfield.addon.bridge.texmesh import color_images
-from farfield.addon.bridge.texmesh.color_images import find_color_image, find_color_images, read_color_image
+from farfield.addon.bridge.texmesh.color_images import find_color_images, read_color_image
 from farfield.addon.bridge.texmesh.glb_images import GlbImages
 from farfield.addon.bridge.texmesh.sources import read_textured_source
 from farfield.addon.core.errors import FileError
@@ -50,7 +50,7 @@ def test_an_image_inside_nested_groups_with_a_mapped_uv_map():
     node.node_tree = outer
     material.node_tree.links.new(node.outputs["Color"], reroute.inputs[0])
     material.node_tree.links.new(reroute.outputs[0], material.node_tree.nodes["Principled BSDF"].inputs["Base Color"])
-    assert find_color_image(material) == (image, "Second")
+    assert find_color_images(material)[:1] == [(image, "Second")]
     item = textured_ball()
     item.data.materials[0] = material
     item.data.uv_layers.new(name="Second")
@@ -72,7 +72,7 @@ def test_an_image_that_enters_a_group():
     group.node_tree = tree
     material.node_tree.links.new(nodes["Image Texture"].outputs["Color"], group.inputs["Color"])
     material.node_tree.links.new(group.outputs["Shader"], nodes["Material Output"].inputs["Surface"])
-    assert find_color_image(material) == (image, "")
+    assert find_color_images(material)[:1] == [(image, "")]
 
 
 def test_colors_come_before_normals_and_roughness():
@@ -82,7 +82,7 @@ def test_colors_come_before_normals_and_roughness():
         other = nodes.new("ShaderNodeTexImage")
         other.image = checker_image(name)
         links.new(other.outputs["Color"], nodes["Principled BSDF"].inputs[name])
-    assert find_color_image(material)[0] == color
+    assert find_color_images(material)[0][0] == color
 
 
 def test_images_of_other_inputs_are_no_colors():
@@ -118,14 +118,14 @@ def test_all_images_of_a_color_are_found_the_nearest_first():
     links.new(nodes["Image Texture"].outputs["Color"], gamma.inputs["Color"])
     links.new(gamma.outputs[0], mix.inputs[1])
     links.new(mix.outputs[0], nodes["Principled BSDF"].inputs["Base Color"])
-    assert find_color_images(material) == [(first, ""), (mask.image, "")] and find_color_image(material) == (first, "")
+    assert find_color_images(material) == [(first, ""), (mask.image, "")]
 
 
 def test_materials_without_an_image():
-    assert find_color_image(None) == (None, "")
+    assert find_color_images(None) == []
     material = textured_material(None)
     material.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.1, 0.2, 0.3, 1.0)
-    assert find_color_image(material) == (None, "")
+    assert find_color_images(material) == []
     assert read_surface(material).color.factor == pytest.approx((0.1, 0.2, 0.3))
 
 

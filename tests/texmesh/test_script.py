@@ -14,6 +14,7 @@ from farfield.addon.core.errors import FileError, SettingsError
 from farfield.addon.core.texmesh.perception.calibration import Answer
 from farfield.addon.core.texmesh.perception.recorded_answers import RecordedAnswer, write_answers
 from glb_reader import read_glb
+from glb_scenes import random_image
 from lib import command_line, environment
 from textured_scenes import checker_image, count_triangles, textured_ball, textured_material
 
@@ -100,16 +101,29 @@ def test_one_file_with_all_levels(ball):
     assert len(document["images"]) == 1 and [material["name"] for material in document["materials"]] == ["Paint"]
 
 
-@pytest.mark.parametrize("one_file", [False, True])
-def test_files_have_rebaked_textures(folder, one_file):
-    textured_ball(8).data.materials[0] = textured_material(checker_image("Large", 256))
-    path, flags = save(folder), ("--one-file",) if one_file else ()
-    summary, _ = make(path, "--ratios", "0.1", "--vertices", "optimized", "--rebake-textures", *flags, out="out.glb")
-    assert "Textures of the levels" in summary
-    names = ["out.glb"] if one_file else [f"out-L{number}.glb" for number in range(2)]
-    texmesh.scene_files.open_scene(path.with_name(names[-1]))
-    sizes = sorted(image.size[0] for image in bpy.data.images if image.size[0])
-    assert sizes == ([128, 256] if one_file else [128])
+def test_levels_have_smaller_images_and_normals_for_their_surface(folder):
+    """The images of all maps: colors, and normals, which the exporter's tangents turn into those of the level."""
+    item = textured_ball(8)
+    material = item.data.materials[0] = textured_material(checker_image("Large", 256))
+    tree = material.node_tree
+    node, normal_map = tree.nodes.new("ShaderNodeTexImage"), tree.nodes.new("ShaderNodeNormalMap")
+    node.image = random_image("Bumps", 256)
+    tree.links.new(node.outputs["Color"], normal_map.inputs["Color"])
+    tree.links.new(normal_map.outputs["Normal"], tree.nodes["Principled BSDF"].inputs["Normal"])
+    path = save(folder)
+    sizes, counts = {}, {}
+    for name, flags in {"own": (), "same": ("--no-rebake-textures",), "webp": ("--webp",), "one": ("--one-file",)}.items():
+        summary, _ = make(path, "--ratios", "0.1", *flags, out=f"{name}.glb")
+        assert ("Images of levels have 128 pixels per side." in summary) == (name in ("own", "webp"))
+        assert "normals of these images stay" not in summary
+        for file in sorted(folder.glob(f"{name}*.glb")):
+            texmesh.scene_files.open_scene(file)
+            sizes[file.stem] = sorted(image.size[0] for image in bpy.data.images if image.size[0])
+            counts[file.stem] = file.stat().st_size
+            assert b"TANGENT" not in file.read_bytes()
+    assert {name for name, found in sizes.items() if found == [128, 128]} == {"own-L1", "webp-L1"}
+    assert all(found == [256, 256] for name, found in sizes.items() if name not in ("own-L1", "webp-L1"))
+    assert counts["own-L0"] == counts["same-L0"] > counts["webp-L0"] and counts["same-L1"] > counts["own-L1"] > counts["webp-L1"]
 
 
 def parse_glb(path):

@@ -16,12 +16,6 @@ from ..shading.texture_uses import read_texture_use
 MAX_SIDE = 4096  # pixels; larger images are halved until they fit
 
 
-def find_color_image(material: bpy.types.Material | None) -> tuple[bpy.types.Image | None, str]:
-    """Return the image texture that is nearest to the color of the surface of a material, and the name of the UV map it uses ("" for the
-    active one); None if there is none."""
-    return next(iter(find_color_images(material)), (None, ""))
-
-
 def find_color_images(material: bpy.types.Material | None) -> list[tuple[bpy.types.Image, str]]:
     """Return the images of all image textures that the color of the surface of a material depends on, each once, the nearest one first,
     with the names of the UV maps that they use ("" for the active one).

@@ -17,16 +17,20 @@ from ...core.errors import FileError
 from ...core.files.atomic_write import atomic_folder
 from ...core.files.file_access import convert_os_errors
 from ...core.files.glb import Y_UP, Document, is_own_glb, load_glb, save_glb
-from ...core.files.glb_levels import LevelNode, arrange_levels
+from ...core.files.glb_levels import COMPRESSIBLE, FULL, LevelNode, arrange_levels, merge_images
 from ...core.files.outputs import Output
 from ...core.files.temporary_folders import temporary_folder
 from ...core.messages import describe_lacking
 from ...core.texmesh.perception.switch_distances import level_coverages
+from ...core.texmesh.rebaking.rebake import rebake_images
+from ...core.texmesh.rebaking.texture_uses import LevelDocument
+from ...core.texmesh.settings import ExportSettings
 from ..blender import error_sentence
 from ..objects import world_matrix
 from .glb_objects import GlbObjects
 from .level_sets import LevelSet
 
+DEFAULTS = ExportSettings()
 GLTF = "io_scene_gltf2"  # Blender's add-on
 OPTIONS = {
     "export_all_vertex_colors": False,
@@ -37,28 +41,34 @@ OPTIONS = {
 }
 
 
-def write_levels(
-    sets: Sequence[LevelSet], path: Path, is_quantized: bool = True, is_one_file: bool = False
-) -> tuple[list[Path], list[str]]:
+def write_levels(sets: Sequence[LevelSet], path: Path, settings: ExportSettings = DEFAULTS) -> tuple[list[Path], list[str]]:
     """Write levels and return the files: `path` if it is one file, otherwise one per level next to it, see `level_path`. Also return
-    sentences about what the files lack.
+    sentences about images, and about what the files lack.
 
     File N has level N of every object, or its coarsest one. All files appear, or none.
 
     Raises:
         FileError: a file cannot be written, or an image cannot be read. GeometryError: an object has no triangles or is in Edit Mode.
     """
-    count = 1 if is_one_file else max(len(levels.levels) for levels in sets)
-    paths = [path if is_one_file else level_path(path, number) for number in range(count)]
+    count = 1 if settings.one_file else max(len(levels.levels) for levels in sets)
+    paths = [path if settings.one_file else level_path(path, number) for number in range(count)]
+    is_rebaked = settings.rebake_textures and count > 1
     with GlbObjects() as objects, atomic_folder(path.parent) as folder:
-        for number, target in enumerate(paths):
-            nodes = list_nodes(sets, objects, None if is_one_file else number)
-            document = export_collection(objects.collection)
+        nodes, levels = [], []
+        for number in range(count):
+            nodes.append(list_nodes(sets, objects, None if settings.one_file else number))
+            document = export_collection(objects.collection, is_rebaked)
             objects.note_document(document)
-            arranged = arrange_levels(document, nodes, is_quantized, objects.material_names, objects.unlit)
-            (folder / target.name).write_bytes(save_glb(arranged))
+            pixel_sizes = {node.source: node.pixel_size if is_rebaked else 0.0 for node in nodes[-1]}
+            levels.append(LevelDocument(document, pixel_sizes, objects.uv_maps))
+        merge_images([level.document for level in levels])
+        sentences = rebake_images(levels, settings.webp) if is_rebaked or settings.webp else []
+        for level, target, found in zip(levels, paths, nodes, strict=True):
+            precision = None if not settings.quantized else COMPRESSIBLE if settings.compressed else FULL
+            arranged = arrange_levels(level.document, found, precision, objects.material_names, objects.unlit)
+            (folder / target.name).write_bytes(save_glb(arranged, settings.compressed))
         lacking = objects.lacking
-    return paths, describe_lacking(lacking, "The .glb" if is_one_file else "Each .glb")
+    return paths, [*sentences, *describe_lacking(lacking, "The .glb" if settings.one_file else "Each .glb")]
 
 
 def level_outputs(path: Path, others: Sequence[Path] = ()) -> list[Output]:
@@ -94,12 +104,15 @@ def list_nodes(sets: Sequence[LevelSet], objects: GlbObjects, number: int | None
             source = objects.add(item, levels.source_name)
             others = tuple(range(first + 1, first + len(indices))) if len(nodes) == first else ()
             name = f"{levels.source_name or levels.collection.name}_LOD{index}"
-            nodes.append(LevelNode(source, name, bounds, _matrix(item), others, _coverages(levels) if others else ()))
+            coverages = _coverages(levels) if others else ()
+            nodes.append(LevelNode(source, name, bounds, _matrix(item), others, coverages, float(levels.errors[index])))
     return nodes
 
 
-def export_collection(collection: bpy.types.Collection) -> Document:
+def export_collection(collection: bpy.types.Collection, has_tangents: bool = False) -> Document:
     """Return the document of the file that Blender's exporter writes of a collection.
+
+    has_tangents: whether vertices have tangents for the active UV map.
 
     Raises:
         FileError: it cannot write an image or the file.
@@ -110,7 +123,7 @@ def export_collection(collection: bpy.types.Collection) -> Document:
         path = folder / "levels.glb"
         layer.objects.active = None  # Or the exporter would leave its mode.
         try:
-            bpy.ops.export_scene.gltf(filepath=str(path), collection=collection.name, **OPTIONS)
+            bpy.ops.export_scene.gltf(filepath=str(path), collection=collection.name, export_tangents=has_tangents, **OPTIONS)
         except RuntimeError as error:  # raised by Blender
             raise FileError(f"Blender's glTF exporter failed: {error_sentence(error)}.") from error
         finally:

@@ -23,10 +23,12 @@ class GlbObjects:
     Attributes:
         collection: of the objects.
         lacking: labels of what the files lack, by material or object.
+        uv_maps: the number of the active UV map of each object, by its name.
     """
 
     def __init__(self) -> None:
         self.lacking: dict[str, tuple[str, ...]] = {}
+        self.uv_maps: dict[str, int] = {}
         self._images = GlbImages()
         self._materials: dict[bpy.types.Material, GlbMaterial] = {}
         self._meshes: list[bpy.types.Mesh] = []
@@ -81,6 +83,7 @@ class GlbObjects:
             _write_colors(data, mesh, shown)
         result = bpy.data.objects.new(f"{NAME} {len(self.collection.objects):04}", data)
         self.collection.objects.link(result)
+        self.uv_maps[result.name] = max(data.uv_layers.active_index, 0)
         for slot, found in zip(result.material_slots, slots, strict=True):
             slot.link, slot.material = "OBJECT", None if found is None else found.copy
         return result.name

@@ -4,8 +4,8 @@ Level 0 is the source as it was evaluated. A level shows where a pixel is larger
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import bpy
 import mathutils
@@ -21,7 +21,6 @@ from ..objects import world_matrix
 from ..rendering import render_properties
 from ..rendering.render_properties import copy_render_properties
 from ..source_links import store_sources
-from .rebaked_images import find_rebaked_images, use_rebaked_image
 from .temporary_visibility import restore
 
 LEVEL = "texmesh_level"  # the KIND of the objects
@@ -41,14 +40,12 @@ class NewLevel:
         error: the size of a pixel above which it shows, in object units, 0 for the finest.
         surface_distance: no point of it is farther from the original, in object units.
         switch_distance: from the camera, in object units, 0 for the finest.
-        images: those that replace the color images of materials, by material slot.
     """
 
     mesh: bpy.types.Mesh
     error: float
     surface_distance: float
     switch_distance: float
-    images: Mapping[int, bpy.types.Image] = field(default_factory=dict)
 
 
 class LevelSet(LodSet):
@@ -120,17 +117,15 @@ def add_level_set(
 ) -> LevelSet:
     """Create a collection named `name` with an object per level, at the position of the source.
 
-    materials: of the slots of all levels. They are copied, so that a cross-fade leaves those of the source as they are; for levels with
-    images of their own once more.
+    materials: of the slots of all levels. They are copied, so that a cross-fade leaves those of the source as they are.
     """
     collection = bpy.data.collections.new(name)
     _parent_collection(source, scene).children.link(collection)
     copies = [None if material is None else _copy_material(material) for material in materials]
     objects = []
     for number, level in enumerate(levels):
-        for slot, material in enumerate(copies):
-            image = level.images.get(slot)
-            level.mesh.materials.append(material if image is None else _copy_for_level(materials[slot], number, image))
+        for material in copies:
+            level.mesh.materials.append(material)
         item = bpy.data.objects.new(f"{source.name} L{number}", level.mesh)
         item.matrix_world = mathutils.Matrix(find_frame(np.array(source.matrix_world)).tolist())
         item[KIND], item[NUMBER], item[ERROR] = LEVEL, number, float(level.error)
@@ -144,16 +139,13 @@ def add_level_set(
 
 
 def remove_level_set(levels: LevelSet) -> None:
-    """Remove the objects, meshes, materials and rebaked images of levels that nothing else uses, and their collection if it is empty
-    then."""
+    """Remove the objects, meshes and materials of levels that nothing else uses, and their collection if it is empty then."""
     restore([levels.source])
     data = list(dict.fromkeys(level.data for level in levels.levels))
     materials = list(dict.fromkeys(material for mesh in data for material in mesh.materials if material is not None))
-    images = find_rebaked_images(materials)
     bpy.data.batch_remove(levels.levels)
     bpy.data.batch_remove([mesh for mesh in data if mesh.users == 0])
     bpy.data.batch_remove([material for material in materials if material.users == 0])
-    bpy.data.batch_remove([image for image in images if image.users == 0])
     if not levels.collection.objects and not levels.collection.children:
         bpy.data.collections.remove(levels.collection)
 
@@ -168,11 +160,4 @@ def _copy_material(material: bpy.types.Material) -> bpy.types.Material:
     copy = material.copy()
     copy.use_transparent_shadow = True
     copy[MATERIAL] = material.name
-    return copy
-
-
-def _copy_for_level(material: bpy.types.Material, number: int, image: bpy.types.Image) -> bpy.types.Material:
-    copy = _copy_material(material)
-    copy.name = f"{material.name} L{number}"
-    use_rebaked_image(copy, image)
     return copy

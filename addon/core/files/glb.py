@@ -5,6 +5,7 @@ In such a document, `attributes` and `indices` of primitives are arrays, and ima
 
 import json
 import struct
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import numpy as np
 
 from ..errors import FileError, GeometryError
 from .complete_files import PNG_SIGNATURE
+from .meshopt_compression import EXTENSION, encode_rows, encode_triangles, reorder
 
 MAGIC, VERSION = b"glTF", 2
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
@@ -27,36 +29,86 @@ Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # from Bl
 GENERATOR = "Farfield"
 ASSET = {"version": "2.0", "generator": GENERATOR}
 MAX_ASSET_BYTES = 256  # The document begins with the name of the program that wrote it.
-IMAGE_TYPES = {PNG_SIGNATURE: "image/png", b"\xff\xd8\xff": "image/jpeg"}  # first bytes of the content
+IMAGE_TYPES = {PNG_SIGNATURE: "image/png", b"\xff\xd8\xff": "image/jpeg", b"RIFF": "image/webp"}  # first bytes of the content
+WEBP = "EXT_texture_webp"
 Document = dict[str, Any]
 
 
 @dataclass(eq=False)
 class _Buffer:
-    """The binary chunk with its views and accessors, while they are collected."""
+    """The binary chunk with its views and accessors, while they are collected.
 
+    Attributes:
+        is_compressed: whether arrays are compressed.
+        parts: of the chunk.
+        length: of the chunk, in bytes.
+        plain_length: of all compressed arrays, in bytes before compression.
+        views, accessors: as in the document.
+        streams: of compressed arrays: their view and themselves, by bytes per row, target, and whether they are normals.
+    """
+
+    is_compressed: bool
     parts: list[bytes] = field(default_factory=list)
     length: int = 0
+    plain_length: int = 0
     views: list[Document] = field(default_factory=list)
     accessors: list[Document] = field(default_factory=list)
+    streams: dict[tuple[int, int, bool], tuple[int, list[np.ndarray]]] = field(default_factory=dict)
+
+    def describe(self) -> list[Document]:
+        """Return the buffers of the document: the chunk, and the one that compressed arrays would be in."""
+        plain = {"byteLength": self.plain_length, "extensions": {EXTENSION: {"fallback": True}}}
+        return [{"byteLength": self.length}, *([plain] if self.plain_length else [])]
 
     def add_view(self, content: bytes, properties: Document) -> int:
         """Append `content` at a multiple of four bytes and return the index of its view."""
         self.views.append({"buffer": 0, "byteOffset": self.length, "byteLength": len(content), **properties})
+        self.append(content)
+        return len(self.views) - 1
+
+    def append(self, content: bytes) -> None:
+        """Append `content` and up to three zeros."""
         padded = content + bytes(-len(content) % 4)
         self.parts.append(padded)
         self.length += len(padded)
-        return len(self.views) - 1
+
+    def add_array(self, rows: np.ndarray, properties: Document, is_normal: bool = False) -> tuple[int, int]:
+        """Append an array (N, S) uint8 of rows of S bytes, and return the index of its view and where it begins there. Compressed arrays
+        of one kind share a view."""
+        if not self.is_compressed:
+            return self.add_view(rows.tobytes(), properties), 0
+        key = (rows.shape[1], properties["target"], is_normal)
+        if key not in self.streams:
+            self.streams[key] = (len(self.views), [])
+            self.views.append(properties)
+        index, parts = self.streams[key]
+        parts.append(rows)
+        return index, sum(part.size for part in parts[:-1])
+
+    def finish(self) -> None:
+        """Compress what is to be compressed."""
+        for (stride, target, is_normal), (index, parts) in self.streams.items():
+            rows = np.concatenate(parts)
+            content, described = encode_triangles(rows) if target == INDEX_BUFFER else encode_rows(rows, is_normal)
+            start = self.length
+            self.append(content)
+            place = {"buffer": 0, "byteOffset": start, "byteLength": len(content), "byteStride": stride, "count": len(rows), **described}
+            plain = {"buffer": 1, "byteOffset": self.plain_length, "byteLength": rows.size, **self.views[index]}
+            self.views[index] = {**plain, "extensions": {EXTENSION: place}}
+            self.plain_length += rows.size + -rows.size % 4
 
     def add_primitive(self, part: Document) -> Document:
         """Append the arrays of a primitive, and return it with their accessors: integers of attributes are fractions of the largest."""
-        attributes = {name: self.add_attribute(values, name == "POSITION") for name, values in part["attributes"].items()}
-        count = len(part["attributes"]["POSITION"])
-        indices = part["indices"].reshape(-1, 1).astype("<u2" if count <= MAX_SHORT_VERTICES else "<u4")
-        view = self.add_view(indices.tobytes(), {"target": INDEX_BUFFER})
-        return {**part, "attributes": attributes, "indices": self.add_accessor(view, indices, {})}
+        indices, arrays = part["indices"], part["attributes"]
+        if self.is_compressed:
+            indices, arrays = reorder(indices, arrays)
+        attributes = {name: self.add_attribute(name, values) for name, values in arrays.items()}
+        count = len(arrays["POSITION"])
+        indices = indices.reshape(-1, 1).astype("<u2" if count <= MAX_SHORT_VERTICES else "<u4")
+        place = self.add_array(indices.view(np.uint8), {"target": INDEX_BUFFER})
+        return {**part, "attributes": attributes, "indices": self.add_accessor(place, indices, {})}
 
-    def add_attribute(self, values: np.ndarray, has_limits: bool) -> int:
+    def add_attribute(self, name: str, values: np.ndarray) -> int:
         """Append an accessor for `values` (V, C) and return its index. Vertices are padded to four bytes."""
         is_float = values.dtype.kind == "f"
         values = np.ascontiguousarray(values, "<f4" if is_float else values.dtype.newbyteorder("<"))
@@ -64,34 +116,41 @@ class _Buffer:
         stride = row + -row % 4
         rows = np.zeros((len(values), stride), np.uint8)
         rows[:, :row] = values.view(np.uint8).reshape(len(values), row)
-        view = self.add_view(rows.tobytes(), {"byteStride": stride, "target": VERTEX_BUFFER})
+        is_normal = name == "NORMAL" and values.dtype == np.int8
+        place = self.add_array(rows, {"byteStride": stride, "target": VERTEX_BUFFER}, is_normal)
         properties: Document = {} if is_float else {"normalized": True}
-        properties |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()} if has_limits else {}
-        return self.add_accessor(view, values, properties)
+        properties |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()} if name == "POSITION" else {}
+        return self.add_accessor(place, values, properties)
 
-    def add_accessor(self, view: int, values: np.ndarray, properties: Document) -> int:
-        """Append an accessor for what a view holds, and return its index."""
+    def add_accessor(self, place: tuple[int, int], values: np.ndarray, properties: Document) -> int:
+        """Append an accessor for what a view holds from a byte on, and return its index."""
         component = COMPONENTS[values.dtype.str[1:]]
-        self.accessors.append(
-            {"bufferView": view, "componentType": component, "count": len(values), "type": TYPES[values.shape[1]], **properties}
-        )
+        start = {"byteOffset": place[1]} if place[1] else {}
+        described = {"componentType": component, "count": len(values), "type": TYPES[values.shape[1]]}
+        self.accessors.append({"bufferView": place[0], **start, **described, **properties})
         return len(self.accessors) - 1
 
 
-def save_glb(document: Document) -> bytes:
+def save_glb(document: Document, is_compressed: bool = False) -> bytes:
     """Return a document as a file of Farfield. Floats get single precision. The same document gives the same bytes.
 
+    is_compressed: whether meshes are compressed (EXT_meshopt_compression).
+
     Raises:
-        FileError: it would be larger than 4 GB, or an image is neither PNG nor JPEG. GeometryError: it has numbers that are not finite.
+        FileError: it would be larger than 4 GB, or an image is neither PNG, JPEG nor WebP.
+        GeometryError: it has numbers that are not finite.
     """
-    buffer = _Buffer()
+    buffer = _Buffer(is_compressed)
     meshes = [{**mesh, "primitives": [buffer.add_primitive(part) for part in mesh["primitives"]]} for mesh in document["meshes"]]
+    buffer.finish()
     images = [{**image, "bufferView": buffer.add_view(image["content"], {})} for image in document.get("images", ())]
     for image in images:
         image["mimeType"] = find_image_type(image.pop("content"))
     result = {"asset": ASSET, "scene": 0, **{key: value for key, value in document.items() if value}, "meshes": meshes}
     result |= {"images": images} if images else {}
-    result |= {"accessors": buffer.accessors, "bufferViews": buffer.views, "buffers": [{"byteLength": buffer.length}]}
+    _mark_webp(result)
+    _require(result, [EXTENSION] if buffer.plain_length else [])
+    result |= {"accessors": buffer.accessors, "bufferViews": buffer.views, "buffers": buffer.describe()}
     try:
         text = json.dumps(result, separators=(",", ":"), allow_nan=False).encode("ascii")
     except ValueError as error:
@@ -104,6 +163,26 @@ def save_glb(document: Document) -> bytes:
     return b"".join([*chunks, struct.pack("<II", buffer.length, BINARY_CHUNK), *buffer.parts])
 
 
+def _mark_webp(document: Document) -> None:
+    """Let textures with WebP images name these as an extension prescribes, which readers then need."""
+    images = document.get("images", ())
+    textures = [
+        {**{key: value for key, value in texture.items() if key != "source"}, "extensions": {WEBP: {"source": texture["source"]}}}
+        if "source" in texture and images[texture["source"]]["mimeType"] == "image/webp"
+        else texture
+        for texture in document.get("textures", ())
+    ]
+    if any(WEBP in texture.get("extensions", {}) for texture in textures):
+        document["textures"] = textures
+        _require(document, [WEBP])
+
+
+def _require(document: Document, extensions: Collection[str]) -> None:
+    """Let readers need extensions."""
+    for key in ("extensionsUsed", "extensionsRequired") if extensions else ():
+        document[key] = sorted({*document.get(key, ()), *extensions})
+
+
 def load_glb(content: bytes) -> Document:
     """Return the document of a complete file that refers to no other file. Normalized integers become float64."""
     length = struct.unpack_from("<I", content, 12)[0]
@@ -111,6 +190,8 @@ def load_glb(content: bytes) -> Document:
     for part in (part for mesh in document["meshes"] for part in mesh["primitives"]):
         part["attributes"] = {name: _read_accessor(document, binary, index) for name, index in part["attributes"].items()}
         part["indices"] = _read_accessor(document, binary, part["indices"]).ravel().astype(np.int64)
+    for texture in document.get("textures", ()):
+        texture |= texture.get("extensions", {}).get(WEBP, {})
     for image in document.get("images", ()):
         view = document["bufferViews"][image.pop("bufferView")]
         image["content"] = bytes(binary[view.get("byteOffset", 0) :][: view["byteLength"]])
@@ -138,9 +219,9 @@ def find_image_type(content: bytes) -> str:
     """Return the media type of an image file in memory.
 
     Raises:
-        FileError: it is neither PNG nor JPEG.
+        FileError: it is neither PNG, JPEG nor WebP.
     """
     for start, name in IMAGE_TYPES.items():
         if content.startswith(start):
             return name
-    raise FileError("An image for a glTF file is neither PNG nor JPEG; encode it as one of them.")
+    raise FileError("An image for a glTF file is neither PNG, JPEG nor WebP; encode it as one of them.")

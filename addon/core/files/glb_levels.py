@@ -18,6 +18,20 @@ QUANTIZATION, LEVELS, SCREEN_COVERAGE = "KHR_mesh_quantization", "MSFT_lod", "MS
 TEXTURE_TRANSFORM, UNLIT, MATERIALS = "KHR_texture_transform", "KHR_materials_unlit", "KHR_materials_"
 
 
+@dataclass(frozen=True)
+class Precision:
+    """The largest integers of quantized positions and texture coordinates."""
+
+    position: int
+    uv: int
+
+
+SHORT, UNSIGNED_SHORT = 32767, 65535  # the largest integers that files have
+FULL = Precision(SHORT, UNSIGNED_SHORT)
+# For files that are compressed: lower bits are noise, which does not compress. A texel of 4096 has four steps.
+COMPRESSIBLE = Precision(8191, 16383)
+
+
 @dataclass(frozen=True, eq=False)
 class LevelNode:
     """A mesh in the scene.
@@ -30,6 +44,7 @@ class LevelNode:
         matrix: (4, 4), from the mesh to the world, y upwards.
         levels: indices of the nodes that replace this one as it covers less of the image, finest first.
         coverages: of the node itself and of each level, the fraction of the image down to which it shows.
+        pixel_size: the smallest size of a pixel at which it shows, in the unit of the mesh.
     """
 
     source: str
@@ -38,32 +53,44 @@ class LevelNode:
     matrix: np.ndarray
     levels: tuple[int, ...] = ()
     coverages: tuple[float, ...] = ()
+    pixel_size: float = 0.0
 
-    @property
-    def grid(self) -> "_Grid":
-        """The cube that quantized positions fill, from -1 to 1."""
+    def grid(self, precision: "Precision") -> "_Grid":
+        """Return the cube that quantized positions fill, from -1 to 1."""
         low, high = np.asarray(self.bounds, np.float64)
-        return _Grid(0.5 * (low + high), float(0.5 * (high - low).max()) or 1.0)
+        return _Grid(0.5 * (low + high), float(0.5 * (high - low).max()) or 1.0, precision.position)
 
 
 @dataclass(frozen=True, eq=False)
 class _Grid:
-    """Values that the stored ones represent: offset + scale * stored. The scale is the same in all directions, so that neither normals nor
-    turned textures are distorted."""
+    """Values that the stored ones represent: offset + scale * stored / largest. The scale is the same in all directions, so that neither
+    normals nor turned textures are distorted.
+
+    largest: stored value. Readers divide by that of the type.
+    """
 
     offset: np.ndarray
     scale: float
+    largest: int
+
+    def stored_scale(self, limit: int) -> float:
+        """Return the scale of what readers make of a stored value by dividing it by `limit`."""
+        return self.scale * limit / self.largest
 
 
 def arrange_levels(
-    document: Document, nodes: Sequence[LevelNode], is_quantized: bool, names: Mapping[str, str], unlit: Collection[str] = ()
+    document: Document,
+    nodes: Sequence[LevelNode],
+    precision: Precision | None,
+    names: Mapping[str, str],
+    unlit: Collection[str] = (),
 ) -> Document:
     """Return a document with the meshes, materials and images of an exporter in other nodes. The input is changed.
 
-    is_quantized: store positions in 16 bits with the transform of the node, texture coordinates in 16 bits, normals in 8 bits and colors
-    in 16 bits, where they are within 0..1. Texture coordinates outside of 0..1 are scaled by the material (KHR_texture_transform); without
-    a texture they remain single precision. names: of materials, by those in `document`. unlit: materials of `document` that are shown
-    without light.
+    precision: store positions in up to 16 bits with the transform of the node, texture coordinates in up to 16 bits, normals in 8 bits and
+    colors in 16 bits, where they are within 0..1. Texture coordinates that leave 0..1 or have less bits are scaled by the material
+    (KHR_texture_transform); without a texture they have 16 bits, or single precision outside of 0..1. None to quantize nothing. names: of
+    materials, by those in `document`. unlit: materials of `document` that are shown without light.
 
     Raises:
         GeometryError: a mesh has no triangles, or coordinates that are not finite.
@@ -76,23 +103,44 @@ def arrange_levels(
             raise GeometryError(f'"{node.name}" has no triangles to write; choose an object with a surface.')
         source = sources[node.source]
         meshes.setdefault(source, {**document["meshes"][source], "name": node.name})
-        grids.setdefault(source, node.grid)
-        written.append(_write_node(node, list(meshes).index(source), is_quantized))
-    uv_grids = _find_uv_grids(document) if is_quantized else {}
+        if precision is not None:
+            grids.setdefault(source, node.grid(precision))
+        written.append(_write_node(node, list(meshes).index(source), precision))
+    uv_grids = {} if precision is None else _find_uv_grids(document, precision.uv)
     for source, mesh in meshes.items():
         for part in mesh["primitives"]:
-            _write_primitive(part, mesh["name"], grids[source] if is_quantized else None, uv_grids)
+            _write_primitive(part, mesh["name"], grids.get(source), uv_grids)
     for (material, uv_map), grid in uv_grids.items():
-        for texture in _textures(document["materials"][material]):
-            if _uv_map(texture) == uv_map:
+        for _, texture in list_textures(document["materials"][material]):
+            if find_uv_map(texture) == uv_map:
                 placement = texture.setdefault("extensions", {}).setdefault(TEXTURE_TRANSFORM, {})
                 placement |= _move_placement(placement, grid)
     levels = {index for node in nodes for index in node.levels}
-    added = {QUANTIZATION: is_quantized, TEXTURE_TRANSFORM: bool(uv_grids)}
+    added = {QUANTIZATION: precision is not None, TEXTURE_TRANSFORM: bool(uv_grids)}
     kept = {key: document[key] for key in ("materials", "textures", "images", "samplers") if key in document}
     scenes = [{"nodes": [index for index in range(len(nodes)) if index not in levels]}]
     extensions = _list_extensions(document, {name for name, is_needed in added.items() if is_needed}, bool(levels))
-    return {**extensions, "scenes": scenes, "nodes": written, "meshes": list(meshes.values()), **kept}
+    return {**extensions, "scenes": scenes, "nodes": written, "meshes": _merge_meshes(list(meshes.values()), written), **kept}
+
+
+def _merge_meshes(meshes: Sequence[Document], nodes: Sequence[Document]) -> list[Document]:
+    """Let nodes with equal meshes have the same one, and return those that are left."""
+    kept: dict[tuple, int] = {}
+    for mesh in meshes:
+        kept.setdefault(_identify(mesh), len(kept))
+    first = {index: mesh for mesh in reversed(meshes) for index in [kept[_identify(mesh)]]}
+    for node in nodes:
+        node["mesh"] = kept[_identify(meshes[node["mesh"]])]
+    return [first[index] for index in range(len(kept))]
+
+
+def _identify(mesh: Document) -> tuple:
+    """Return what meshes have in common that are equal but for their names."""
+    parts = []
+    for part in mesh["primitives"]:
+        arrays = {**part["attributes"], "indices": part["indices"]}
+        parts.append((part.get("material"), *((name, values.dtype.str, values.tobytes()) for name, values in arrays.items())))
+    return tuple(parts)
 
 
 def _list_extensions(document: Document, added: Collection[str], has_levels: bool) -> dict[str, list[str]]:
@@ -109,7 +157,7 @@ def _merge(document: Document, names: Mapping[str, str], unlit: Collection[str])
     for material in document.get("materials", ()):
         material |= {"extensions": {UNLIT: {}}} if material.get("name") in unlit else {}
         material["name"] = names.get(material.get("name", ""), material.get("name", ""))
-        for texture in _textures(material):
+        for _, texture in list_textures(material):
             texture["index"] = textures[texture["index"]]
     materials = _keep_first(document, "materials")
     for part in _primitives(document):
@@ -129,26 +177,40 @@ def _primitives(document: Document) -> Iterator[Document]:
         yield from mesh["primitives"]
 
 
-def _textures(value: object) -> Iterator[dict[str, Any]]:
-    """Yield the references to textures within a material."""
+def merge_images(documents: Sequence[Document]) -> None:
+    """Let equal images of documents be the same object."""
+    files: dict[bytes, bytes] = {}
+    for image in (image for document in documents for image in document.get("images", ())):
+        image["content"] = files.setdefault(image["content"], image["content"])
+
+
+def list_textures(value: object) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the names of textures within a material, such as `baseColorTexture`, and what it says about them."""
     for key, item in value.items() if isinstance(value, dict) else ():
         if key.endswith("Texture"):
-            yield item
+            yield key, item
         else:
-            yield from _textures(item)
+            yield from list_textures(item)
 
 
-def _uv_map(texture: Mapping[str, Any]) -> int:
+def find_uv_map(texture: Mapping[str, Any]) -> int:
+    """Return the number of the UV map by which a material places a texture."""
     return texture.get("extensions", {}).get(TEXTURE_TRANSFORM, {}).get("texCoord", texture.get("texCoord", 0))
 
 
-def _find_uv_grids(document: Document) -> dict[tuple[int, int], _Grid]:
-    """Return the range of the texture coordinates of all primitives, by material and number of their UV map, as far as they leave 0..1
-    and textures use them."""
+def turn_of(placement: Mapping[str, Any]) -> np.ndarray:
+    """Return the rotation (2, 2) of texture coordinates, v downwards, by KHR_texture_transform."""
+    angle = placement.get("rotation", 0.0)
+    return np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+
+
+def _find_uv_grids(document: Document, largest: int) -> dict[tuple[int, int], _Grid]:
+    """Return the range of the texture coordinates of all primitives, by material and number of their UV map, as far as they leave 0..1 or
+    have less than 16 bits and textures use them."""
     found: dict[tuple[int, int], list[np.ndarray]] = {}
     for part in _primitives(document):
         if "material" in part:
-            for uv_map in {_uv_map(texture) for texture in _textures(document["materials"][part["material"]])}:
+            for uv_map in {find_uv_map(texture) for _, texture in list_textures(document["materials"][part["material"]])}:
                 uvs = part["attributes"].get(f"TEXCOORD_{uv_map}")
                 if uvs is not None:
                     found.setdefault((part["material"], uv_map), []).append(uvs)
@@ -157,20 +219,22 @@ def _find_uv_grids(document: Document) -> dict[tuple[int, int], _Grid]:
         uvs = np.concatenate(found[key]).astype(np.float64)
         low, high = uvs.min(axis=0), uvs.max(axis=0)
         if (low < 0.0).any() or (high > 1.0).any():
-            grids[key] = _Grid(low, float((high - low).max()) or 1.0)
+            grids[key] = _Grid(low, float((high - low).max()) or 1.0, largest)
+        elif largest < UNSIGNED_SHORT:
+            grids[key] = _Grid(np.zeros(2), 1.0, largest)
     return grids
 
 
 def _move_placement(placement: Mapping[str, Any], grid: _Grid) -> dict[str, list[float]]:
     """Return offset and scale of a texture that was placed by `placement`, for the stored values of a grid."""
-    angle, scale = placement.get("rotation", 0.0), np.array(placement.get("scale", (1.0, 1.0)))
-    turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])  # v is downwards
-    offset = turn @ (scale * grid.offset) + placement.get("offset", (0.0, 0.0))
-    return {"offset": offset.tolist(), "scale": (scale * grid.scale).tolist()}
+    scale = np.array(placement.get("scale", (1.0, 1.0)))
+    offset = turn_of(placement) @ (scale * grid.offset) + placement.get("offset", (0.0, 0.0))
+    return {"offset": offset.tolist(), "scale": (scale * grid.stored_scale(UNSIGNED_SHORT)).tolist()}
 
 
 def _write_primitive(part: Document, name: str, grid: _Grid | None, uv_grids: Mapping[tuple[int, int], _Grid]) -> None:
     """Quantize the attributes of a primitive if there is a `grid` for its positions, and let equal vertices be one."""
+    part["attributes"].pop("TANGENT", None)  # readers compute the same
     attributes = {key: np.asarray(values, np.float32) for key, values in part["attributes"].items()}
     if not all(np.isfinite(values).all() for values in attributes.values()):
         raise GeometryError(f'"{name}" has coordinates or colors that are not finite; repair its mesh.')
@@ -187,20 +251,21 @@ def _write_primitive(part: Document, name: str, grid: _Grid | None, uv_grids: Ma
 def _quantize(name: str, values: np.ndarray, grid: _Grid, uv_grid: _Grid | None) -> np.ndarray:
     """Return stored values of a vertex attribute: integers as fractions of the largest, or floats outside of 0..1."""
     if name == "POSITION":
-        return np.rint(32767.0 * np.clip((values - grid.offset) / grid.scale, -1.0, 1.0)).astype(np.int16)
+        return np.rint(grid.largest * np.clip((values - grid.offset) / grid.scale, -1.0, 1.0)).astype(np.int16)
     if name == "NORMAL":
         return np.rint(127.0 * values).astype(np.int8)
     if uv_grid is not None:
-        values = np.clip((values - uv_grid.offset) / uv_grid.scale, 0.0, 1.0)
+        return np.rint(uv_grid.largest * np.clip((values - uv_grid.offset) / uv_grid.scale, 0.0, 1.0)).astype(np.uint16)
     is_fraction = values.min() >= 0.0 and values.max() <= 1.0
-    return np.rint(65535.0 * values.astype(np.float64)).astype(np.uint16) if is_fraction else values.astype(np.float32)
+    return np.rint(UNSIGNED_SHORT * values.astype(np.float64)).astype(np.uint16) if is_fraction else values.astype(np.float32)
 
 
-def _write_node(node: LevelNode, mesh: int, is_quantized: bool) -> Document:
+def _write_node(node: LevelNode, mesh: int, precision: Precision | None) -> Document:
     matrix = np.array(node.matrix, np.float64)
-    if is_quantized:
-        matrix[:3, 3] += matrix[:3, :3] @ node.grid.offset
-        matrix[:3, :3] *= node.grid.scale
+    if precision is not None:
+        grid = node.grid(precision)
+        matrix[:3, 3] += matrix[:3, :3] @ grid.offset
+        matrix[:3, :3] *= grid.stored_scale(SHORT)
     result: Document = {"name": node.name, "mesh": mesh, "matrix": matrix.T.ravel().tolist()}  # column by column
     if node.levels:
         result |= {"extensions": {LEVELS: {"ids": list(node.levels)}}, "extras": {SCREEN_COVERAGE: list(node.coverages)}}

@@ -37,6 +37,7 @@ MAX_CODED_RATIO = 2  # Bytes of a coded image per byte of its pixels.
 PNG_COMPRESSION = 3  # zlib level; higher ones cost much time and save little in photographs
 WEBP_METHOD = 0  # the fastest; method 4 takes two to three times as long for files that are a few percent smaller
 RAW_MAGIC, RAW_HEADER = b"FFPIXELS", struct.Struct("<8sHHI")
+JPEG_START, RIFF_START = b"\xff\xd8\xff", b"RIFF"  # first bytes of JPEG and of WebP files
 MODES = {"1": "RGB", "L": "RGB", "P": "RGB", "RGB": "RGB", "LA": "RGBA", "PA": "RGBA", "RGBA": "RGBA", "RGBX": "RGB"}
 DAMAGES = (
     OSError,
@@ -52,13 +53,13 @@ DAMAGES = (
 )  # as raised
 
 
-def encode(image: np.ndarray, image_format: ImageFormat, quality: int = DEFAULT_QUALITY) -> bytes:
+def encode(image: np.ndarray, image_format: ImageFormat, quality: int = DEFAULT_QUALITY, compression: int = PNG_COMPRESSION) -> bytes:
     """Return `image` (H, W, 3 or 4) uint8, row 0 at the bottom, as a file in memory.
 
     The same image gives the same bytes. JPEG has no subsampling of colors, so that every block of 8 x 8 pixels is coded by itself: images
     that share whole blocks share their decoded pixels exactly. Alpha is lossless in every format that has it.
 
-    quality: of JPEG and WebP, 1 to 100.
+    quality: of JPEG and WebP, 1 to 100. compression: of PNG, 0 to 9.
 
     Raises:
         ImageError: the format has no alpha, or the image is too large for it.
@@ -70,12 +71,12 @@ def encode(image: np.ndarray, image_format: ImageFormat, quality: int = DEFAULT_
         raise ImageError(f"An image of {width} x {height} pixels cannot be coded as {image_format}; use smaller tiles.")
     if image_format == "raw":
         return RAW_HEADER.pack(RAW_MAGIC, width, height, channels) + np.ascontiguousarray(image, np.uint8).tobytes()
-    return _save(image[::-1], image_format, quality)
+    return _save(image[::-1], image_format, quality, compression)
 
 
 def encode_gray(values: np.ndarray) -> bytes:
     """Return `values` (H, W) uint8, row 0 at the bottom, as a PNG file with one channel in memory."""
-    return _save(values[::-1], "png", DEFAULT_QUALITY)
+    return _save(values[::-1], "png", DEFAULT_QUALITY, PNG_COMPRESSION)
 
 
 def decode(data: bytes | memoryview, max_pixels: int = MAX_PIXELS) -> np.ndarray:
@@ -158,14 +159,14 @@ def _find_plugin(start: bytes) -> "type[ImageFile] | None":
     that is global to the process."""
     from PIL import JpegImagePlugin, PngImagePlugin, WebPImagePlugin  # here, so that importing the core needs only NumPy and SciPy
 
-    if start.startswith(b"\xff\xd8\xff"):
+    if start.startswith(JPEG_START):
         return JpegImagePlugin.JpegImageFile
     if start.startswith(PNG_SIGNATURE):
         return PngImagePlugin.PngImageFile
-    return WebPImagePlugin.WebPImageFile if start.startswith(b"RIFF") and start[8:] == b"WEBP" else None
+    return WebPImagePlugin.WebPImageFile if start.startswith(RIFF_START) and start[8:] == b"WEBP" else None
 
 
-def _save(image: np.ndarray, image_format: str, quality: int) -> bytes:
+def _save(image: np.ndarray, image_format: str, quality: int, compression: int) -> bytes:
     """Return an image with row 0 at the top as a file in memory."""
     from PIL import Image, ImageFile
 
@@ -178,7 +179,7 @@ def _save(image: np.ndarray, image_format: str, quality: int) -> bytes:
     elif image_format == "webp":
         picture.save(file, "WEBP", quality=quality, method=WEBP_METHOD, exact=True)
     else:
-        picture.save(file, "PNG", compress_level=PNG_COMPRESSION)
+        picture.save(file, "PNG", compress_level=compression)
     return file.getvalue()
 
 

@@ -84,18 +84,28 @@ def sample_mipmaps(mipmaps: Mipmaps, uvs: np.ndarray, footprints: np.ndarray) ->
 
 def resize_by_area(image: np.ndarray, size: int) -> np.ndarray:
     """Return a square `image` (S, S, C) float32 resized to (size, size, C), with size <= S: each pixel is the mean over its area."""
-    length = len(image)
-    if size == length:
+    return shrink_by_area(image, (size, size))
+
+
+def shrink_by_area(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return an `image` (H, W, C) float32 with a `size`, width and height, that is no larger: each pixel is the mean over its area."""
+    if size == image.shape[1::-1]:
         return image
+    width, height, channels = *size, image.shape[2]
+    rows = _area_weights(image.shape[0], height) @ image.reshape(len(image), -1)
+    rows = np.ascontiguousarray(rows.reshape(height, -1, channels).swapaxes(0, 1))
+    columns = _area_weights(image.shape[1], width) @ rows.reshape(len(rows), -1)
+    return np.ascontiguousarray(columns.reshape(width, height, channels).swapaxes(0, 1))
+
+
+def _area_weights(length: int, size: int) -> csr_array:
+    """Return the fractions (size, length) float32 of pixels that texels cover, where `length` texels become `size` pixels."""
     borders = np.arange(size + 1) * (length / size)
     first, last = np.floor(borders[:-1]).astype(np.int64), np.minimum(np.ceil(borders[1:]).astype(np.int64), length)
     counts = last - first
     pixels, texels = np.repeat(np.arange(size), counts), concatenate_ranges(first, counts)
     overlaps = np.minimum(borders[pixels + 1], texels + 1) - np.maximum(borders[pixels], texels)
-    weights = csr_array(((overlaps * (size / length)).astype(np.float32), (pixels, texels)), shape=(size, length))
-    rows = (weights @ image.reshape(length, -1)).reshape(size, length, -1)
-    columns = weights @ np.ascontiguousarray(rows.swapaxes(0, 1)).reshape(length, -1)
-    return np.ascontiguousarray(columns.reshape(size, size, -1).swapaxes(0, 1))
+    return csr_array(((overlaps * (size / length)).astype(np.float32), (pixels, texels)), shape=(size, length))
 
 
 def measure_footprints(corners: np.ndarray, corner_uvs: np.ndarray, size: tuple[int, int], max_anisotropy: float = 4.0) -> np.ndarray:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..files.glb import Y_UP, Document, save_glb
-from ..files.glb_levels import LevelNode, arrange_levels
+from ..files.glb_levels import FULL, LevelNode, arrange_levels
 from ..geometry.mesh import vertex_normals
 from ..texmesh.level_chain import LevelChain
 from ..texmesh.perception.switch_distances import level_coverages
@@ -32,7 +32,7 @@ def encode_levels(name: str, chain: LevelChain, materials: Sequence[MaterialSour
         "meshes": [{"primitives": _primitives(mesh)} for mesh in meshes],
         **describe_materials(materials),
     }
-    return save_glb(arrange_levels(document, nodes, True, {}))
+    return save_glb(arrange_levels(document, nodes, FULL, {}))
 
 
 def _primitives(mesh: TexturedMesh) -> list[Document]:

@@ -7,7 +7,7 @@ from ..settings import Settings, Unit, setting
 from .manifest import find_origin
 
 TILE_UNIT = 16  # pixels
-FIXED_LEVEL_SETTINGS = {"vertices": "original", "rebake_textures": False}  # so that levels can be sent one after the other
+FIXED_LEVEL_SETTINGS = {"vertices": "original"}  # so that levels can be sent one after the other
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -73,11 +73,6 @@ class LevelSettings(Settings):
         512, "Largest size of the object in images, in pixels", minimum=8, maximum=2048, used_if={"levels": ("pixels",)}
     )
     ratios: str = setting("0.5,0.25,0.125", "Fractions of the triangles of the original, one per level", used_if={"levels": ("ratios",)})
-    rebake_textures: bool = setting(
-        False,
-        "Give each level a texture of its own, as small as its distance allows, with the colors of the original",
-        used_if={"vertices": ("optimized",)},
-    )
     drastic_simplification: bool = setting(
         True,
         "If a triangle count cannot be reached otherwise: ignore folds of small triangles, seams of normals and colors; drop thin"
@@ -210,6 +205,21 @@ class SceneSettings(Settings):
         used_if={"cross_fade": True},
     )
     keep_original_visible: bool = setting(False, "Keep the original visible in addition to its levels", panel_label="Keep Original")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportSettings(Settings):
+    """How levels are written as .glb files."""
+
+    one_file: bool = setting(False, "Write one file in which levels replace each other (MSFT_lod), instead of one file per level")
+    quantized: bool = setting(True, "Store positions and texture coordinates in 16 bits, normals in 8 bits")
+    compressed: bool = setting(False, "Compress meshes (EXT_meshopt_compression)")
+    rebake_textures: bool = setting(
+        True,
+        "Give each level images as small as its distance allows, with normals for its own surface, where that saves bytes",
+        used_if={"one_file": False},
+    )
+    webp: bool = setting(False, "Store images as WebP (EXT_texture_webp), with loss, where that saves bytes", label="WebP")
 
 
 @dataclass(frozen=True, kw_only=True)

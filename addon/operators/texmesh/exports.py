@@ -10,7 +10,8 @@ from ...core.errors import FileError
 from ...core.files.file_access import is_folder
 from ...core.files.outputs import Output
 from ...core.messages import join_sentences
-from .. import long_work
+from ...core.texmesh.settings import ExportSettings
+from .. import long_work, properties
 from ..error_reports import report_message, reports_errors
 from .operators import NO_LEVELS, selected_level_sets
 
@@ -26,15 +27,7 @@ class FARFIELD_OT_texmesh_export(bpy.types.Operator):
     __annotations__ = {
         "filepath": bpy.props.StringProperty(name="File", description="File to write", subtype="FILE_PATH", options={"SKIP_SAVE"}),
         "filter_glob": bpy.props.StringProperty(default=f"*{SUFFIX}", options={"HIDDEN"}),
-        "one_file": bpy.props.BoolProperty(
-            name="One File",
-            description="Write one file in which levels replace each other (MSFT_lod), instead of one file per level",
-            default=False,
-        ),
-        "quantized": bpy.props.BoolProperty(
-            name="Quantized", description="Store positions and texture coordinates in 16 bits, normals in 8 bits", default=True
-        ),
-    }
+    } | properties.build_annotations(ExportSettings, set())
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -62,8 +55,8 @@ class FARFIELD_OT_texmesh_export(bpy.types.Operator):
             raise FileError(f'"{self.filepath}" is a folder; name a file in it.')
         path = path.with_suffix(SUFFIX)
         check_scene_outputs([Output("the file", path)] if self.one_file else level_outputs(path))
-        paths, lacking = write_levels(selected_level_sets(context), path, self.quantized, self.one_file)
-        report_message(self, join_sentences([f"Saved {', '.join(item.name for item in paths)}.", *lacking]))
+        paths, sentences = write_levels(selected_level_sets(context), path, properties.read(ExportSettings, self))
+        report_message(self, join_sentences([f"Saved {', '.join(item.name for item in paths)}.", *sentences]))
         return {"FINISHED"}
 
 

@@ -11,22 +11,18 @@ from ...bridge.geometry.meshes import find_material
 from ...bridge.objects import find_by_uid
 from ...bridge.texmesh.level_meshes import create_level_mesh
 from ...bridge.texmesh.level_sets import FIGURES, LevelSet, NewLevel, add_level_set, find_level_set, remove_level_set
-from ...bridge.texmesh.rebaked_images import RebakeTextures
 from ...bridge.texmesh.scale_attributes import write_scale_map
 from ...bridge.texmesh.sources import TexturedSource
 from ...core.errors import GeometryError
 from ...core.jobs.progress import Progress, Steps, subprogress
 from ...core.messages import format_count, join_sentences
 from ...core.texmesh.level_chain import LevelChain, make_levels
-from ...core.texmesh.rebaking.rebake import RebakedTextures
 from ...core.texmesh.scale_space.analysis import analyze_scale_space
 from ...core.texmesh.scale_space.features import ScaleMap
 from ...core.texmesh.settings import AnalysisSettings, SceneSettings, TexmeshSettings
-from .rebaking import create_images, read_textures, rebake_chain
 from .sources import describe_small, read_sources
 
 MAX_LISTED = 3  # The levels of more objects are counted together in the result.
-REBAKE_FRACTION = 0.3  # This part of the progress of an object is rebaking.
 
 
 @dataclass
@@ -77,7 +73,6 @@ class LevelsJob:
         scene_settings: what happens in the scene.
         scene_uid: the scene that gets the levels.
         skipped: names of other objects with the reason.
-        rebake_textures: what textures are rebaked from, per source, None to keep them.
         chains: the levels by the name of their collection.
     """
 
@@ -88,23 +83,19 @@ class LevelsJob:
     scene_settings: SceneSettings
     scene_uid: int
     skipped: list[str]
-    rebake_textures: list[RebakeTextures | None]
     chains: dict[str, LevelChain] = field(default_factory=dict)
 
-    def core_steps(self) -> Steps[list[tuple[LevelChain, RebakedTextures | None]]]:
-        """Make the levels of every mesh, and their textures."""
+    def core_steps(self) -> Steps[list[LevelChain]]:
+        """Make the levels of every mesh."""
         weights = np.array([len(source.mesh.triangles) for source in self.sources], float)
         starts = np.concatenate([[0.0], weights.cumsum() / weights.sum()])
         chains = []
         ranges = zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True)
-        for source, textures, (start, stop) in zip(self.sources, self.rebake_textures, ranges, strict=True):
-            baking = stop if textures is None else stop - REBAKE_FRACTION * (stop - start)
-            chain = yield from subprogress(make_levels(source.mesh, source.textures, self.settings), start, baking)
-            steps = None if textures is None else rebake_chain(source, chain, textures)
-            chains.append((chain, None if steps is None else (yield from subprogress(steps, baking, stop))))
+        for source, (start, stop) in zip(self.sources, ranges, strict=True):
+            chains.append((yield from subprogress(make_levels(source.mesh, source.textures, self.settings), start, stop)))
         return chains
 
-    def scene_steps(self, core_result: list[tuple[LevelChain, RebakedTextures | None]]) -> Steps[str]:
+    def scene_steps(self, core_result: list[LevelChain]) -> Steps[str]:
         """Create the objects.
 
         Raises:
@@ -119,9 +110,9 @@ class LevelsJob:
         if bpy.context.mode != "OBJECT":
             bpy.ops.object.mode_set(mode="OBJECT")
         remarks = []
-        for index, (chain, rebaked) in enumerate(core_result):
-            remarks += self._add(objects[index], index, chain, rebaked, materials[index], scene)
-        counts = _count_triangles(self.sources, [chain for chain, _ in core_result], self.settings)
+        for index, chain in enumerate(core_result):
+            remarks += self._add(objects[index], index, chain, materials[index], scene)
+        counts = _count_triangles(self.sources, core_result, self.settings)
         return join_sentences([*counts, *remarks, *describe_skipped(self.skipped)])
 
     def _add(
@@ -129,16 +120,14 @@ class LevelsJob:
         item: bpy.types.Object,
         index: int,
         chain: LevelChain,
-        rebaked: RebakedTextures | None,
         materials: Sequence[bpy.types.Material | None],
         scene: bpy.types.Scene,
     ) -> list[str]:
         """Add the levels of the object made from source `index` in place of those made before, and return remarks about them."""
-        source, textures = self.sources[index], self.rebake_textures[index]
+        source = self.sources[index]
         earlier = find_level_set(scene, item)
         if earlier is not None and earlier.is_editable:
             remove_level_set(earlier)
-        images = None if rebaked is None else create_images(item.name, materials, textures, rebaked)
         is_subset = self.settings.vertices == "original"
         new = [
             NewLevel(
@@ -146,7 +135,6 @@ class LevelsJob:
                 level.pixel_size,
                 level.distance,
                 self._switch_distance(level.pixel_size),
-                {} if images is None else images.levels[number],
             )
             for number, level in enumerate(chain.levels)
         ]
@@ -154,7 +142,7 @@ class LevelsJob:
         levels.collection[FIGURES] = json.dumps(describe_chain(chain))
         self.chains[levels.collection.name] = chain
         _show(levels, scene, self.scene_settings)
-        return [*([] if images is None else images.remarks), chain.scale_map.losses, *source.remarks]
+        return [chain.scale_map.losses, *source.remarks]
 
     def _switch_distance(self, pixel_size: float) -> float:
         """Return the distance, in units of the object, at which a pixel of the display has a size."""
@@ -216,8 +204,7 @@ def prepare_levels(
 ) -> LevelsJob:
     """Return the job that makes levels of `objects`. Raises FarfieldError if none can be read."""
     sources, skipped = read_sources(context, objects)
-    textures = read_textures(sources, settings)
-    return LevelsJob(sources, settings, scene_settings, context.scene.session_uid, skipped, textures)
+    return LevelsJob(sources, settings, scene_settings, context.scene.session_uid, skipped)
 
 
 def _show(levels: LevelSet, scene: bpy.types.Scene, settings: SceneSettings) -> None:

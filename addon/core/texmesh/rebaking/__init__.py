@@ -1,1 +1,1 @@
-"""Textures of levels that show the color of the original at each point: smaller ones for coarser levels."""
+"""Images of levels in glTF files: as small as the distance of a level allows, with normals for its own surface."""

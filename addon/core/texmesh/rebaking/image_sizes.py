@@ -1,4 +1,4 @@
-"""The size of the texture of a level: as many texels as the image of the level has pixels where it is shown nearest."""
+"""The size of the images of a level: at least as many texels as the image of the level has pixels where it is shown nearest."""
 
 import math
 
@@ -6,12 +6,12 @@ import numpy as np
 
 from ...geometry.mesh import face_areas_and_normals
 from ...geometry.transforms import signed_areas
-from ..textured_mesh import TexturedMesh
 
-TEXELS_PER_PIXEL = 1.5  # along a side, at least, where texels are largest: with one, thin lines are blurred visibly
+TEXELS_PER_PIXEL = 1.5  # At least, where texels are longest: with one, thin lines are blurred visibly.
 MIN_SIDE = 128  # Pixels of the longer side of an image; in smaller ones, which save little, UV islands run together.
-SHARP_FRACTION = 0.9  # This fraction of the area has so many texels.
-MAX_SUPERSAMPLES = 1 << 20  # Largest number of samples of an image that is sampled more than twice as finely along each side.
+# Fractions of the area that have so many texels, by the root of their area and in the direction in which they are longest: thin islands
+# are stretched, and would otherwise determine the size of the image.
+MEAN_FRACTION, LONGEST_FRACTION = 0.9, 0.5
 
 
 def halve_size(size: tuple[int, int], halvings: int) -> tuple[int, int]:
@@ -19,28 +19,42 @@ def halve_size(size: tuple[int, int], halvings: int) -> tuple[int, int]:
     return tuple(-(-side // 2**halvings) for side in size)
 
 
-def choose_halvings(level: TexturedMesh, triangles: np.ndarray, pixel_size: float, size: tuple[int, int]) -> int:
-    """Return how often the sides of a texture can be halved for a level that is shown where pixels are at least `pixel_size` large.
+def choose_halvings(corners: np.ndarray, corner_uvs: np.ndarray, pixel_size: float, size: tuple[int, int]) -> int:
+    """Return how often the sides of an image can be halved on a surface that is shown where pixels are at least `pixel_size` large.
 
     Args:
-        triangles: (K,) indices, those with the texture. pixel_size: in the object's unit. size: width and height of the texture.
+        corners: (T, 3, 3) of triangles in the object's unit. corner_uvs: (T, 3, 2), 1 for a side of the image. pixel_size: in the object's
+            unit. size: width and height of the image.
     """
-    areas, _ = face_areas_and_normals(level.vertices[level.triangles[triangles]])
-    uv_areas = np.abs(signed_areas(level.corner_uvs[triangles]))
-    used = np.flatnonzero((uv_areas > 0.0) & (areas > 0.0))
+    areas, _ = face_areas_and_normals(corners)
+    used = np.flatnonzero((signed_areas(corner_uvs) != 0.0) & (areas > 0.0))
     most = max(math.floor(math.log2(max(size) / MIN_SIDE)), 0)
     if not len(used):
         return most
-    lengths = np.sqrt(areas[used] / (uv_areas[used] * size[0] * size[1]))  # Lengths of a texel on the surface.
-    order = np.argsort(lengths)
-    cumulative = np.cumsum(areas[used][order])
-    longest = float(lengths[order][np.searchsorted(cumulative, SHARP_FRACTION * cumulative[-1])])
-    return int(np.clip(math.floor(math.log2(max(pixel_size, longest * 1e-9) / (TEXELS_PER_PIXEL * longest)) + 1e-9), 0, most))
+    means, longest = _find_texel_lengths(corners[used], corner_uvs[used] * size)
+    length = max(_find_quantile(means, areas[used], MEAN_FRACTION), _find_quantile(longest, areas[used], LONGEST_FRACTION))
+    return int(np.clip(math.floor(math.log2(max(pixel_size, length * 1e-9) / (TEXELS_PER_PIXEL * length)) + 1e-9), 0, most))
 
 
-def choose_supersampling(size: tuple[int, int], halvings: int) -> int:
-    """Return how many samples a texel has along each side, in an image that is a texture of `size` after `halvings`: a power of two, no
-    more than the texels of the texture, and for small images so many that narrow islands are not missed."""
-    width, height = halve_size(size, halvings)
-    fitting = int(math.log2(max(MAX_SUPERSAMPLES / (width * height), 1.0)) / 2.0)
-    return 2 ** min(halvings, max(fitting, 1))
+def _find_quantile(values: np.ndarray, weights: np.ndarray, fraction: float) -> float:
+    """Return the value up to which values (N,) have a fraction of the weights (N,)."""
+    order = np.argsort(values)
+    cumulative = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(cumulative, fraction * cumulative[-1])])
+
+
+def _find_texel_lengths(corners: np.ndarray, texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the root of the area of a texel (T,) on triangles, and how long it is (T,) in the direction in which it is longest.
+
+    Args:
+        corners: (T, 3, 3) on the surface. texels: (T, 3, 2) in the image.
+    """
+    first, second = (corners[:, index] - corners[:, 0] for index in (1, 2))
+    (first_u, first_v), (second_u, second_v) = ((texels[:, index] - texels[:, 0]).T[..., None] for index in (1, 2))
+    determinant = first_u * second_v - second_u * first_v
+    along_u = (first * second_v - second * first_v) / determinant
+    along_v = (second * first_u - first * second_u) / determinant
+    sums = (along_u**2 + along_v**2).sum(axis=1)
+    area = np.linalg.norm(np.cross(along_u, along_v), axis=1)
+    largest = np.sqrt(0.5 * (sums + np.sqrt(np.maximum(sums**2 - 4.0 * area**2, 0.0))))  # the largest singular value
+    return np.sqrt(area), largest

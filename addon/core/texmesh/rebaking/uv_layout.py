@@ -23,9 +23,21 @@ def wrap_triangles(corner_uvs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return corner_uvs[owners] - tiles[:, None], owners
 
 
+def find_coverage(corner_uvs: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return 1 at the texels (H, W) float32 of an image with `size`, width and height, that triangles (T, 3, 2) cover, 0 at the others.
+    Where a triangle repeats the image many times, all are covered."""
+    coverage = np.zeros(size[0] * size[1], np.float32)
+    if (_find_tiles(corner_uvs)[1] > MAX_TILES).any():
+        coverage[:] = 1.0
+    else:
+        for _, texels, _ in rasterize(wrap_triangles(corner_uvs)[0] * size, size):
+            coverage[texels] = 1.0
+    return coverage.reshape(size[1], size[0])
+
+
 def repeats_texture(corner_uvs: np.ndarray, size: tuple[int, int]) -> bool:
     """Return whether triangles (T, 3, 2) use parts of a texture with `size` texels, width and height, more than once: overlapping islands,
-    or repetitions. Such parts have no color of their own."""
+    or repetitions. Such parts have no surface of their own."""
     if not len(corner_uvs):
         return False
     if (_find_tiles(corner_uvs)[1] > MAX_TILES).any() or np.abs(signed_areas(corner_uvs)).sum() > 1.0 + MAX_OVERLAP:
