@@ -22,6 +22,7 @@ from ..rendering import render_properties
 from ..rendering.render_properties import copy_render_properties
 from ..source_links import store_sources
 from .rebaked_images import find_rebaked_images, use_rebaked_image
+from .rigs import follow_parent, follow_rig, moves_with_armature
 from .temporary_visibility import restore
 
 LEVEL = "texmesh_level"  # the KIND of the objects
@@ -132,7 +133,7 @@ def add_level_set(
             image = level.images.get(slot)
             level.mesh.materials.append(material if image is None else _copy_for_level(materials[slot], number, image))
         item = bpy.data.objects.new(f"{source.name} L{number}", level.mesh)
-        item.matrix_world = mathutils.Matrix(find_frame(np.array(source.matrix_world)).tolist())
+        _place(item, source)
         item[KIND], item[NUMBER], item[ERROR] = LEVEL, number, float(level.error)
         item[SWITCH_DISTANCE], item[TRIANGLES] = float(level.switch_distance), len(level.mesh.polygons)
         item[SURFACE_DISTANCE] = float(level.surface_distance)
@@ -141,6 +142,17 @@ def add_level_set(
         objects.append(item)
     store_sources(collection, [source])
     return LevelSet(collection, objects)
+
+
+def _place(item: bpy.types.Object, source: bpy.types.Object) -> None:
+    """Put the object of a level where its source is, and let armatures move and deform it like that."""
+    follow_rig(item, source)
+    matrix = np.array(source.matrix_world)
+    frame = find_frame(matrix)
+    if moves_with_armature(source) and np.array_equal(frame, matrix):
+        follow_parent(item, source)
+    else:
+        item.matrix_world = mathutils.Matrix(frame.tolist())
 
 
 def remove_level_set(levels: LevelSet) -> None:

@@ -1,7 +1,7 @@
 """Objects with a texture as textured meshes, with everything that their levels carry."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
@@ -13,9 +13,10 @@ from ...core.geometry.transforms import signed_areas
 from ...core.messages import format_count, quote_names
 from ...core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 from ..geometry.evaluated_mesh import EvaluatedMesh
-from ..geometry.joined_meshes import read_joined_mesh
+from ..geometry.joined_meshes import find_frame, read_joined_mesh
 from ..geometry.meshes import find_material
 from .color_images import find_color_images, read_color_image
+from .rigs import Rig, at_rest, describe_frozen, has_rig, read_rig
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class TexturedSource:
         attributes: names and widths of those of the mesh, in their order: normals of smooth faces, and color attributes at corners.
         textures: (H, W, 3) float32 scene-linear by material, None where there is none.
         remarks: sentences about what was read in another way than a user may expect.
+        rig: what deforms the mesh, which is at rest; None for a mesh with its current shape.
     """
 
     name: str
@@ -42,6 +44,7 @@ class TexturedSource:
     attributes: tuple[tuple[str, int], ...]
     textures: tuple[np.ndarray | None, ...]
     remarks: tuple[str, ...]
+    rig: Rig | None = None
 
 
 NORMALS = "custom_normal"  # the attribute with the normals of smooth faces
@@ -75,11 +78,27 @@ def read_textured_source(
         *remarks,
         *([f'The levels of "{item.name}" are one mesh, joined from {mesh_count:,} instances.'] if mesh_count > 1 else []),
         *filter(None, [describe_coarseness(evaluated.vertices, f'"{item.name}"', "it")]),
-        *_describe_evaluation(item),
         *_describe_edges(item.name, textured),
         *_describe_uvs(item.name, textured, bool(uv_map)),
     ]
     return TexturedSource(item.name, item.session_uid, textured, origin, evaluated, uv_map, attributes, textures, tuple(remarks))
+
+
+def read_source_at_rest(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> TexturedSource:
+    """Read an object as `read_textured_source` does, but without the deformation by its armatures and shape keys, and with its rig. Objects
+    that make instances, and those whose shape keys change the number of vertices, have their current shape and no rig."""
+    if has_rig(item):
+        with at_rest(item, depsgraph):
+            source = read_textured_source(item, depsgraph)
+            evaluated = item.evaluated_get(depsgraph)
+            if len(evaluated.data.vertices) == len(source.evaluated.vertices):
+                matrix = np.array(evaluated.matrix_world)
+                to_object = np.linalg.solve(find_frame(matrix), matrix)[:3, :3]
+                rig = read_rig(item, depsgraph, to_object)
+                if rig is not None:
+                    return replace(source, rig=rig, remarks=(*source.remarks, *describe_frozen(item, rig)))
+    source = read_textured_source(item, depsgraph)
+    return replace(source, remarks=(*source.remarks, *describe_frozen(item)))
 
 
 def _read_textures(
@@ -136,14 +155,6 @@ def _find_flat(mesh: EvaluatedMesh) -> np.ndarray:
     _, directions = face_areas_and_normals(mesh.vertices[mesh.triangles].astype(np.float64))
     cosines = np.einsum("tci,ti->tc", normals, directions)
     return (np.ptp(normals, axis=1).max(axis=1) == 0.0) & (cosines.min(axis=1) > 0.99)
-
-
-def _describe_evaluation(item: bpy.types.Object) -> list[str]:
-    """Return a sentence if an object is deformed in a way that its levels do not follow."""
-    has_armature = any(modifier.type == "ARMATURE" and modifier.show_viewport for modifier in item.modifiers)
-    has_keys = item.type == "MESH" and item.data.shape_keys is not None
-    reasons = [text for text, is_there in (("its armature", has_armature), ("its shape keys", has_keys)) if is_there]
-    return [f'The levels of "{item.name}" have its current shape; they do not follow {" and ".join(reasons)}.'] if reasons else []
 
 
 def _describe_edges(name: str, mesh: TexturedMesh) -> list[str]:

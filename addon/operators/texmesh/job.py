@@ -142,7 +142,7 @@ class LevelsJob:
         is_subset = self.settings.vertices == "original"
         new = [
             NewLevel(
-                create_level_mesh(f"{item.name} L{number}", source, level.mesh, chain.scale_map, is_subset),
+                create_level_mesh(f"{item.name} L{number}", item, source, level.mesh, chain.scale_map, is_subset),
                 level.pixel_size,
                 level.distance,
                 self._switch_distance(level.pixel_size),

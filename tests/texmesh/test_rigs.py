@@ -1,0 +1,160 @@
+"""Levels of meshes that armatures and shape keys deform: they are deformed like their source."""
+
+import bpy
+import numpy as np
+import pytest
+
+from farfield.addon.bridge.geometry.mesh_arrays import read_positions
+from farfield.addon.bridge.texmesh.level_sets import level_sets_in
+from farfield.addon.core.geometry.distance import TriangleTree
+from textured_scenes import checker_image, textured_ball, textured_material
+
+pytestmark = pytest.mark.usefixtures("empty_scene")
+RADIUS, HEIGHT = 0.4, 4.0
+SMALL = {"levels": "ratios", "ratios": "0.3,0.1", "views": 1, "max_image": 32}
+
+
+@pytest.fixture(params=["modifier", "parent"])
+def tube(request) -> bpy.types.Object:
+    """A tube of two bones, with weights that change along it, under an armature that is moved and turned."""
+    item = add_tube()
+    rig = add_bones()
+    upper = np.clip(read_positions(item.data)[:, 2] - HEIGHT / 2 + 0.5, 0.0, 1.0)
+    for name, weights in (("Lower", 1.0 - upper), ("Upper", upper)):
+        group = item.vertex_groups.new(name=name)
+        for index, weight in enumerate(weights.tolist()):
+            group.add([index], weight, "REPLACE")
+    item.parent = rig
+    if request.param == "parent":
+        item.parent_type = "ARMATURE"
+    else:
+        item.modifiers.new("Skeleton", "ARMATURE").object = rig
+    rig.location, rig.rotation_euler = (3.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+    bpy.context.view_layer.objects.active = item
+    item.select_set(True)
+    return item
+
+
+def add_tube(segments: int = 24, rings: int = 40) -> bpy.types.Object:
+    rows, columns = np.mgrid[: rings + 1, :segments]
+    angles = 2.0 * np.pi * columns / segments
+    vertices = np.stack([RADIUS * np.cos(angles), RADIUS * np.sin(angles), HEIGHT * rows / rings], axis=-1).reshape(-1, 3)
+    corners = np.stack([columns, columns + 1, columns + 1, columns], axis=-1)[:-1], np.stack([rows, rows, rows + 1, rows + 1], axis=-1)[:-1]
+    mesh = bpy.data.meshes.new("Tube")
+    mesh.from_pydata(vertices.tolist(), [], (segments * corners[1] + corners[0] % segments).reshape(-1, 4).tolist())
+    uvs = np.stack([corners[0] / segments, corners[1] / rings], axis=-1)
+    mesh.uv_layers.new(name="UVMap").data.foreach_set("uv", uvs.astype(np.float32).ravel())
+    mesh.shade_smooth()
+    mesh.materials.append(textured_material(checker_image()))
+    item = bpy.data.objects.new("Tube", mesh)
+    bpy.context.scene.collection.objects.link(item)
+    return item
+
+
+def add_bones() -> bpy.types.Object:
+    bpy.ops.object.armature_add()
+    rig = bpy.context.object
+    bpy.ops.object.mode_set(mode="EDIT")
+    lower = rig.data.edit_bones[0]
+    lower.name, lower.tail = "Lower", (0, 0, HEIGHT / 2)
+    upper = rig.data.edit_bones.new("Upper")
+    upper.head, upper.tail, upper.parent = lower.tail, (0, 0, HEIGHT), lower
+    bpy.ops.object.mode_set(mode="OBJECT")
+    rig.select_set(False)
+    return rig
+
+
+def bend(rig: bpy.types.Object, angle: float) -> None:
+    bone = rig.pose.bones["Upper"]
+    bone.rotation_mode, bone.rotation_euler = "XYZ", (angle, 0.0, 0.0)
+    bpy.context.view_layer.update()
+
+
+def read_shown(item: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
+    """World positions of the deformed vertices of an object, and its triangles."""
+    item.hide_viewport = False
+    bpy.context.view_layer.update()
+    evaluated = item.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    evaluated.data.calc_loop_triangles()
+    matrix = np.array(evaluated.matrix_world)
+    triangles = np.array([triangle.vertices[:] for triangle in evaluated.data.loop_triangles])
+    return read_positions(evaluated.data) @ matrix[:3, :3].T + matrix[:3, 3], triangles
+
+
+def measure(level: bpy.types.Object, source: bpy.types.Object) -> float:
+    """The largest distance of vertices of a level from its source, as both are shown."""
+    vertices, triangles = read_shown(source)
+    return float(TriangleTree(vertices[triangles]).find_closest(read_shown(level)[0])[0].max())
+
+
+def make() -> list[bpy.types.Object]:
+    assert bpy.ops.farfield.texmesh_levels(**SMALL) == {"FINISHED"}
+    (levels,) = level_sets_in(bpy.context.scene)
+    return levels.levels
+
+
+def test_levels_bend_with_their_armature(tube, capsys):
+    rig = tube.parent
+    bend(rig, 0.4)  # Levels do not depend on the pose in which they are made.
+    levels = make()
+    assert "current shape" not in capsys.readouterr().out
+    rig.location.x += 1.0
+    bend(rig, 0.0)
+    at_rest = [measure(level, tube) for level in levels]
+    bend(rig, 1.2)
+    bent = [measure(level, tube) for level in levels]
+    assert at_rest[0] < 1e-6 and bent[0] < 1e-6
+    assert max(at_rest) < 0.1 * RADIUS
+    assert all(posed < 1.1 * resting + 0.01 * RADIUS for posed, resting in zip(bent, at_rest, strict=True)), (bent, at_rest)
+
+
+def test_normals_of_levels_turn_with_their_faces(tube):
+    levels = make()
+    bend(tube.parent, 1.2)
+    for level in levels:
+        level.hide_viewport = False
+        bpy.context.view_layer.update()
+        data = level.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+        faces = [(face.normal, data.corner_normals[index].vector) for face in data.polygons for index in face.loop_indices]
+        assert np.quantile([face.dot(corner) for face, corner in faces], 0.25) > 0.9
+
+
+def test_weights_sum_to_those_of_the_source(tube):
+    tube.vertex_groups.new(name="Empty")
+    for level in make():
+        assert [group.name for group in level.vertex_groups] == ["Lower", "Upper", "Empty"]
+        sums = [sum(found.weight for found in vertex.groups) for vertex in level.data.vertices]
+        assert sums == pytest.approx([1.0] * len(sums), abs=1e-5)
+
+
+@pytest.fixture
+def face() -> bpy.types.Object:
+    """A sphere with a subdivision modifier and two shape keys, the second of which is relative to the first."""
+    item = textured_ball(8, "Face")
+    item.modifiers.new("Subdivision", "SUBSURF").levels = 1
+    item.shape_key_add(name="Basis")
+    for name, scale, height in (("Wide", 1.5, 0.0), ("Wide and High", 1.5, 1.0)):
+        block = item.shape_key_add(name=name, from_mix=False)
+        block.points.foreach_set("co", (read_positions(item.data) * (scale, 1.0, 1.0) + (0.0, 0.0, height)).astype(np.float32).ravel())
+    item.data.shape_keys.key_blocks["Wide and High"].relative_key = item.data.shape_keys.key_blocks["Wide"]
+    item.data.shape_keys.key_blocks["Wide"].value = 0.7
+    return item
+
+
+def test_shape_keys_of_levels_follow_those_of_their_source(face, capsys):
+    keys = face.data.shape_keys.key_blocks
+    levels = make()
+    assert "current shape" not in capsys.readouterr().out and not face.show_only_shape_key
+    for values in ((0.0, 0.0), (0.5, 0.0), (0.0, 1.0)):
+        keys["Wide"].value, keys["Wide and High"].value = values
+        bpy.context.view_layer.update()
+        measured = [measure(level, face) for level in levels]
+        assert measured[0] < 1e-6 and max(measured) < 0.1
+        assert read_shown(levels[2])[0][:, 2].mean() == pytest.approx(values[1], abs=0.05)
+
+
+def test_shape_keys_that_are_not_relative_are_refused(face, capsys):
+    face.data.shape_keys.use_relative = False
+    levels = make()
+    assert 'The levels of "Face" have its current shape; they do not follow its shape keys.' in capsys.readouterr().out
+    assert all(level.data.shape_keys is None for level in levels)
