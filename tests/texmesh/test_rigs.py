@@ -116,7 +116,7 @@ def test_normals_of_levels_turn_with_their_faces(tube):
         bpy.context.view_layer.update()
         data = level.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
         faces = [(face.normal, data.corner_normals[index].vector) for face in data.polygons for index in face.loop_indices]
-        assert np.quantile([face.dot(corner) for face, corner in faces], 0.25) > 0.9
+        assert np.quantile([face.dot(corner) for face, corner in faces], 0.25) > 0.8
 
 
 def test_weights_sum_to_those_of_the_source(tube):
@@ -158,3 +158,41 @@ def test_shape_keys_that_are_not_relative_are_refused(face, capsys):
     levels = make()
     assert 'The levels of "Face" have its current shape; they do not follow its shape keys.' in capsys.readouterr().out
     assert all(level.data.shape_keys is None for level in levels)
+
+
+@pytest.mark.parametrize("one_file", [True, False])
+def test_files_have_the_skins_of_levels(tube, tmp_path, capsys, one_file):
+    rig = tube.parent
+    levels = make()
+    rig.animation_data_create().action = bpy.data.actions.new("Walk")
+    assert bpy.ops.farfield.texmesh_export(filepath=str(tmp_path / "tube.glb"), one_file=one_file) == {"FINISHED"}
+    assert 'lacks animations of "Tube".' in capsys.readouterr().out and rig.name in bpy.data.objects
+    bend(rig, 1.2)
+    wanted = [read_shown(level) for level in levels]
+    own, found = set(bpy.data.objects), {}
+    for path in tmp_path.glob("*.glb"):
+        before = set(bpy.data.objects)
+        bpy.ops.import_scene.gltf(filepath=str(path))
+        (skeleton,) = (item for item in set(bpy.data.objects) - before if item.type == "ARMATURE")
+        bend(skeleton, 1.2)
+        assert skeleton.name.startswith(rig.name)
+        found |= {item.name: item for item in set(bpy.data.objects) - own if item.find_armature() == skeleton}
+    assert sorted(found) == ["Tube_LOD0", "Tube_LOD1", "Tube_LOD2"] and not any("Export" in item.name for item in bpy.data.objects)
+    for item in set(found.values()) - set(bpy.context.view_layer.objects):  # Blender hides nodes that only MSFT_lod refers to.
+        bpy.context.scene.collection.objects.link(item)
+    for number, (vertices, triangles) in enumerate(wanted):
+        nearest, _ = TriangleTree(vertices[triangles]).find_closest(read_shown(found[f"Tube_LOD{number}"])[0])
+        assert nearest.max() < 2e-3
+
+
+def test_files_have_the_shape_keys_of_levels(face, tmp_path):
+    keys = face.data.shape_keys.key_blocks
+    levels = make()
+    assert bpy.ops.farfield.texmesh_export(filepath=str(tmp_path / "face.glb")) == {"FINISHED"}
+    bpy.ops.import_scene.gltf(filepath=str(tmp_path / "face-L1.glb"))
+    imported = bpy.context.object.data.shape_keys.key_blocks
+    assert [block.name for block in imported[1:]] == ["Wide", "Wide and High"] and imported["Wide"].value == pytest.approx(0.7)
+    keys["Wide"].value = imported["Wide"].value = 0.0
+    keys["Wide and High"].value = imported["Wide and High"].value = 1.0
+    vertices, triangles = read_shown(levels[1])
+    assert TriangleTree(vertices[triangles]).find_closest(read_shown(bpy.context.object)[0])[0].max() < 1e-4

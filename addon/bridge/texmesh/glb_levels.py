@@ -32,6 +32,7 @@ OPTIONS = {
     "export_all_vertex_colors": False,
     "export_active_vertex_color_when_no_material": False,
     "export_animations": False,
+    "export_try_sparse_sk": False,
     "export_current_frame": True,
     "export_hierarchy_full_collections": True,  # The collection need not be in a scene.
 }
@@ -55,7 +56,7 @@ def write_levels(
             nodes = list_nodes(sets, objects, None if is_one_file else number)
             document = export_collection(objects.collection)
             objects.note_document(document)
-            arranged = arrange_levels(document, nodes, is_quantized, objects.material_names, objects.unlit)
+            arranged = arrange_levels(document, nodes, is_quantized, objects.material_names, objects.unlit, objects.armature_names)
             (folder / target.name).write_bytes(save_glb(arranged))
         lacking = objects.lacking
     return paths, describe_lacking(lacking, "The .glb" if is_one_file else "Each .glb")

@@ -44,6 +44,18 @@ def find_armatures(item: bpy.types.Object) -> list[bpy.types.ArmatureModifier]:
     return [modifier for modifier in modifiers if modifier.show_viewport and modifier.object is not None]
 
 
+def find_armature(item: bpy.types.Object) -> bpy.types.Object | None:
+    """Return the armature that deforms an object, the last one if there are several."""
+    modifiers = find_armatures(item)
+    return modifiers[-1].object if modifiers else item.parent if _is_deformed_by_parent(item) else None
+
+
+def is_animated(item: bpy.types.Object) -> bool:
+    """Return whether an object has an action or tracks of actions."""
+    animation = item.animation_data
+    return animation is not None and (animation.action is not None or bool(animation.nla_tracks))
+
+
 def has_rig(item: bpy.types.Object) -> bool:
     """Return whether armatures or relative shape keys deform a mesh object."""
     if item.type != "MESH":

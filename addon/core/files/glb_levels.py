@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import GeometryError
-from .glb import Document
+from .glb import JOINTS, WEIGHTS, Document
 
 QUANTIZATION, LEVELS, SCREEN_COVERAGE = "KHR_mesh_quantization", "MSFT_lod", "MSFT_screencoverage"
 TEXTURE_TRANSFORM, UNLIT, MATERIALS = "KHR_texture_transform", "KHR_materials_unlit", "KHR_materials_"
@@ -56,32 +56,39 @@ class _Grid:
 
 
 def arrange_levels(
-    document: Document, nodes: Sequence[LevelNode], is_quantized: bool, names: Mapping[str, str], unlit: Collection[str] = ()
+    document: Document,
+    nodes: Sequence[LevelNode],
+    is_quantized: bool,
+    names: Mapping[str, str],
+    unlit: Collection[str] = (),
+    joint_names: Mapping[str, str] | None = None,
 ) -> Document:
-    """Return a document with the meshes, materials and images of an exporter in other nodes. The input is changed.
+    """Return a document with the meshes, skins, materials and images of an exporter in other nodes. The input is changed.
 
     is_quantized: store positions in 16 bits with the transform of the node, texture coordinates in 16 bits, normals in 8 bits and colors
-    in 16 bits, where they are within 0..1. Texture coordinates outside of 0..1 are scaled by the material (KHR_texture_transform); without
-    a texture they remain single precision. names: of materials, by those in `document`. unlit: materials of `document` that are shown
-    without light.
+    in 16 bits, where they are within 0..1. Positions of meshes with a skin, whose nodes have no transform, and of those with morph targets
+    remain single precision. Texture coordinates outside of 0..1 are scaled by the material (KHR_texture_transform); without a texture they
+    remain single precision. names: of materials, by those in `document`. unlit: materials of `document` that are shown without light.
+    joint_names: of nodes of skeletons, by those in `document`.
 
     Raises:
         GeometryError: a mesh has no triangles, or coordinates that are not finite.
     """
     _merge(document, names, unlit)
-    sources = {node["name"]: node["mesh"] for node in document["nodes"] if "mesh" in node}
+    sources = {node["name"]: (node["mesh"], node.get("skin")) for node in document["nodes"] if "mesh" in node}
     meshes, grids, written = {}, {}, []
     for node in nodes:
         if node.source not in sources:
             raise GeometryError(f'"{node.name}" has no triangles to write; choose an object with a surface.')
-        source = sources[node.source]
+        source, skin = sources[node.source]
         meshes.setdefault(source, {**document["meshes"][source], "name": node.name})
-        grids.setdefault(source, node.grid)
-        written.append(_write_node(node, list(meshes).index(source), is_quantized))
+        is_deformed = skin is not None or any("targets" in part for part in meshes[source]["primitives"])
+        grids.setdefault(source, node.grid if is_quantized and not is_deformed else None)
+        written.append(_write_node(node, list(meshes).index(source), grids[source], skin))
     uv_grids = _find_uv_grids(document) if is_quantized else {}
     for source, mesh in meshes.items():
         for part in mesh["primitives"]:
-            _write_primitive(part, mesh["name"], grids[source] if is_quantized else None, uv_grids)
+            _write_primitive(part, mesh["name"], is_quantized, grids[source], uv_grids)
     for (material, uv_map), grid in uv_grids.items():
         for texture in _textures(document["materials"][material]):
             if _uv_map(texture) == uv_map:
@@ -90,9 +97,33 @@ def arrange_levels(
     levels = {index for node in nodes for index in node.levels}
     added = {QUANTIZATION: is_quantized, TEXTURE_TRANSFORM: bool(uv_grids)}
     kept = {key: document[key] for key in ("materials", "textures", "images", "samplers") if key in document}
-    scenes = [{"nodes": [index for index in range(len(nodes)) if index not in levels]}]
+    bones, roots, skins = _move_skeletons(document, len(nodes), joint_names or {})
+    scenes = [{"nodes": [*(index for index in range(len(nodes)) if index not in levels), *roots]}]
     extensions = _list_extensions(document, {name for name, is_needed in added.items() if is_needed}, bool(levels))
-    return {**extensions, "scenes": scenes, "nodes": written, "meshes": list(meshes.values()), **kept}
+    return {**extensions, "scenes": scenes, "nodes": [*written, *bones], "meshes": list(meshes.values()), "skins": skins, **kept}
+
+
+def _move_skeletons(document: Document, start: int, names: Mapping[str, str]) -> tuple[list[Document], list[int], list[Document]]:
+    """Return the joints of the skins of a document and the nodes above them that `names` has, which are the nodes from `start` on, the
+    indices of those without a node above them, and the skins."""
+    nodes, skins = document["nodes"], document.get("skins", ())
+    parents = {child: index for index, node in enumerate(nodes) for child in node.get("children", ())}
+    kept = {joint for skin in skins for joint in skin["joints"]}
+    for joint in list(kept):
+        while joint in parents:
+            joint = parents[joint]
+            kept |= {joint} if nodes[joint].get("name") in names else set()
+    indices = {index: start + number for number, index in enumerate(sorted(kept))}
+    moved = []
+    for index in indices:
+        children = [indices[child] for child in nodes[index].get("children", ()) if child in indices]
+        others = {key: value for key, value in nodes[index].items() if key not in ("children", "mesh", "skin")}
+        moved.append({**others, "name": names.get(others["name"], others["name"]), **({"children": children} if children else {})})
+    renamed = [{**skin, "joints": [indices[joint] for joint in skin["joints"]]} for skin in skins]
+    for skin in renamed:
+        skin |= {"name": names.get(skin["name"], skin["name"])} if "name" in skin else {}
+        skin |= {"skeleton": indices[skin["skeleton"]]} if "skeleton" in skin else {}
+    return moved, [indices[index] for index in indices if parents.get(index) not in indices], renamed
 
 
 def _list_extensions(document: Document, added: Collection[str], has_levels: bool) -> dict[str, list[str]]:
@@ -169,24 +200,31 @@ def _move_placement(placement: Mapping[str, Any], grid: _Grid) -> dict[str, list
     return {"offset": offset.tolist(), "scale": (scale * grid.scale).tolist()}
 
 
-def _write_primitive(part: Document, name: str, grid: _Grid | None, uv_grids: Mapping[tuple[int, int], _Grid]) -> None:
-    """Quantize the attributes of a primitive if there is a `grid` for its positions, and let equal vertices be one."""
-    attributes = {key: np.asarray(values, np.float32) for key, values in part["attributes"].items()}
+def _write_primitive(part: Document, name: str, is_quantized: bool, grid: _Grid | None, uv_grids: Mapping[tuple[int, int], _Grid]) -> None:
+    """Quantize the attributes of a primitive if it `is_quantized`, positions if they have a `grid`, and let equal vertices be one."""
+    attributes = {
+        key: np.asarray(values, values.dtype if key.startswith(JOINTS) else np.float32) for key, values in part["attributes"].items()
+    }
     if not all(np.isfinite(values).all() for values in attributes.values()):
         raise GeometryError(f'"{name}" has coordinates or colors that are not finite; repair its mesh.')
-    for key, values in part["attributes"].items() if grid is not None else ():
+    for key, values in part["attributes"].items() if is_quantized else ():
         uv_map = int(key.removeprefix("TEXCOORD_")) if key.startswith("TEXCOORD_") else -1
-        attributes[key] = _quantize(key, values, grid, uv_grids.get((part.get("material", -1), uv_map)))
-    rows = np.concatenate([np.ascontiguousarray(values).view(np.uint8).reshape(len(values), -1) for values in attributes.values()], axis=1)
+        if not key.startswith((JOINTS, WEIGHTS)) and (key != "POSITION" or grid is not None):
+            attributes[key] = _quantize(key, values, grid, uv_grids.get((part.get("material", -1), uv_map)))
+    targets = [{key: np.asarray(values, np.float32) for key, values in target.items()} for target in part.get("targets", ())]
+    columns = [*attributes.values(), *(values for target in targets for values in target.values())]
+    rows = np.concatenate([np.ascontiguousarray(values).view(np.uint8).reshape(len(values), -1) for values in columns], axis=1)
     _, first, inverse = np.unique(rows.view(f"V{rows.shape[1]}").ravel(), return_index=True, return_inverse=True)
     kept, places = np.unique(first, return_inverse=True)
     part["attributes"] = {key: values[kept] for key, values in attributes.items()}
+    if targets:
+        part["targets"] = [{key: values[kept] for key, values in target.items()} for target in targets]
     part["indices"] = places[inverse.ravel()][part["indices"]]
 
 
-def _quantize(name: str, values: np.ndarray, grid: _Grid, uv_grid: _Grid | None) -> np.ndarray:
-    """Return stored values of a vertex attribute: integers as fractions of the largest, or floats outside of 0..1."""
-    if name == "POSITION":
+def _quantize(name: str, values: np.ndarray, grid: _Grid | None, uv_grid: _Grid | None) -> np.ndarray:
+    """Return stored values of a vertex attribute: integers as fractions of the largest, or floats outside of 0..1. grid: of positions."""
+    if grid is not None and name == "POSITION":
         return np.rint(32767.0 * np.clip((values - grid.offset) / grid.scale, -1.0, 1.0)).astype(np.int16)
     if name == "NORMAL":
         return np.rint(127.0 * values).astype(np.int8)
@@ -196,12 +234,13 @@ def _quantize(name: str, values: np.ndarray, grid: _Grid, uv_grid: _Grid | None)
     return np.rint(65535.0 * values.astype(np.float64)).astype(np.uint16) if is_fraction else values.astype(np.float32)
 
 
-def _write_node(node: LevelNode, mesh: int, is_quantized: bool) -> Document:
+def _write_node(node: LevelNode, mesh: int, grid: _Grid | None, skin: int | None) -> Document:
     matrix = np.array(node.matrix, np.float64)
-    if is_quantized:
-        matrix[:3, 3] += matrix[:3, :3] @ node.grid.offset
-        matrix[:3, :3] *= node.grid.scale
-    result: Document = {"name": node.name, "mesh": mesh, "matrix": matrix.T.ravel().tolist()}  # column by column
+    if grid is not None:
+        matrix[:3, 3] += matrix[:3, :3] @ grid.offset
+        matrix[:3, :3] *= grid.scale
+    place: Document = {"matrix": matrix.T.ravel().tolist()} if skin is None else {"skin": skin}  # column by column
+    result: Document = {"name": node.name, "mesh": mesh, **place}
     if node.levels:
         result |= {"extensions": {LEVELS: {"ids": list(node.levels)}}, "extras": {SCREEN_COVERAGE: list(node.coverages)}}
     return result
