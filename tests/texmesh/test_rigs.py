@@ -64,7 +64,7 @@ def add_bones() -> bpy.types.Object:
     return rig
 
 
-def bend(rig: bpy.types.Object, angle: float) -> None:
+def pose(rig: bpy.types.Object, angle: float) -> None:
     bone = rig.pose.bones["Upper"]
     bone.rotation_mode, bone.rotation_euler = "XYZ", (angle, 0.0, 0.0)
     bpy.context.view_layer.update()
@@ -93,15 +93,15 @@ def make() -> list[bpy.types.Object]:
     return levels.levels
 
 
-def test_levels_bend_with_their_armature(tube, capsys):
+def test_levels_follow_their_armature(tube, capsys):
     rig = tube.parent
-    bend(rig, 0.4)  # Levels do not depend on the pose in which they are made.
+    pose(rig, 0.4)  # Levels do not depend on the pose in which they are made.
     levels = make()
     assert "current shape" not in capsys.readouterr().out
     rig.location.x += 1.0
-    bend(rig, 0.0)
+    pose(rig, 0.0)
     at_rest = [measure(level, tube) for level in levels]
-    bend(rig, 1.2)
+    pose(rig, 1.2)
     bent = [measure(level, tube) for level in levels]
     assert at_rest[0] < 1e-6 and bent[0] < 1e-6
     assert max(at_rest) < 0.1 * RADIUS
@@ -110,7 +110,7 @@ def test_levels_bend_with_their_armature(tube, capsys):
 
 def test_normals_of_levels_turn_with_their_faces(tube):
     levels = make()
-    bend(tube.parent, 1.2)
+    pose(tube.parent, 1.2)
     for level in levels:
         level.hide_viewport = False
         bpy.context.view_layer.update()
@@ -167,14 +167,14 @@ def test_files_have_the_skins_of_levels(tube, tmp_path, capsys, one_file):
     rig.animation_data_create().action = bpy.data.actions.new("Walk")
     assert bpy.ops.farfield.texmesh_export(filepath=str(tmp_path / "tube.glb"), one_file=one_file) == {"FINISHED"}
     assert 'lacks animations of "Tube".' in capsys.readouterr().out and rig.name in bpy.data.objects
-    bend(rig, 1.2)
+    pose(rig, 1.2)
     wanted = [read_shown(level) for level in levels]
     own, found = set(bpy.data.objects), {}
     for path in tmp_path.glob("*.glb"):
         before = set(bpy.data.objects)
         bpy.ops.import_scene.gltf(filepath=str(path))
         (skeleton,) = (item for item in set(bpy.data.objects) - before if item.type == "ARMATURE")
-        bend(skeleton, 1.2)
+        pose(skeleton, 1.2)
         assert skeleton.name.startswith(rig.name)
         found |= {item.name: item for item in set(bpy.data.objects) - own if item.find_armature() == skeleton}
     assert sorted(found) == ["Tube_LOD0", "Tube_LOD1", "Tube_LOD2"] and not any("Export" in item.name for item in bpy.data.objects)

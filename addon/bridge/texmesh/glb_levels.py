@@ -94,7 +94,7 @@ def list_nodes(sets: Sequence[LevelSet], objects: GlbObjects, number: int | None
             item = levels.levels[index]
             source = objects.add(item, levels.source_name)
             others = tuple(range(first + 1, first + len(indices))) if len(nodes) == first else ()
-            name = f"{levels.source_name or levels.collection.name}_LOD{index}"
+            name = f"{levels.label}_LOD{index}"
             nodes.append(LevelNode(source, name, bounds, _matrix(item), others, _coverages(levels) if others else ()))
     return nodes
 

@@ -33,6 +33,7 @@ class GlbObjects:
         self._materials: dict[bpy.types.Material, GlbMaterial] = {}
         self._meshes: list[bpy.types.Mesh] = []
         self._armatures: dict[bpy.types.Object, bpy.types.Object] = {}
+        self._shared: dict[bpy.types.Mesh, str] = {}
 
     def __enter__(self) -> "GlbObjects":
         self.collection = bpy.data.collections.new(NAME)
@@ -65,16 +66,21 @@ class GlbObjects:
         self._armatures.clear()
         bpy.data.batch_remove(self._meshes)
         self._meshes.clear()
+        self._shared.clear()
 
     def add(self, item: bpy.types.Object, label: str) -> str:
-        """Add an object with the mesh and the materials of another one, without its transform, and return its name. If an armature deforms
-        it, it is at its place under a copy of the armature, since vertices of skins are in the space of the scene.
+        """Add an object with the mesh and the materials of another one, without its transform, and return its name. One object stands for
+        all with the same mesh. If an armature deforms it, it is at its place under a copy of the armature, since vertices of skins are in
+        the space of the scene.
 
         label: the name under which its attributes are listed that the file lacks.
 
         Raises:
             GeometryError: it has no triangles, or is in Edit Mode. FileError: an image of a material is missing or cannot be read.
         """
+        armature = find_armature(item)
+        if armature is None and item.data in self._shared:
+            return self._shared[item.data]
         if item.data.is_editmode:
             raise GeometryError(f'"{item.name}" is in Edit Mode; leave it.')
         mesh = read_evaluated_mesh(item.data, item)
@@ -93,8 +99,9 @@ class GlbObjects:
         self.collection.objects.link(result)
         for slot, found in zip(result.material_slots, slots, strict=True):
             slot.link, slot.material = "OBJECT", None if found is None else found.copy
-        armature = find_armature(item)
-        if armature is not None:
+        if armature is None:
+            self._shared[item.data] = result.name
+        else:
             result.matrix_world = world_matrix(item)
             result.modifiers.new(armature.name, "ARMATURE").object = self._add_armature(armature)
             self._note(label, ["animations"] if is_animated(armature) else [])

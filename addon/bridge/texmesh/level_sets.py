@@ -30,6 +30,7 @@ TRIANGLES = "farfield_triangles"
 SURFACE_DISTANCE = "farfield_surface_distance"  # in units of the object, see `NewLevel`
 SWITCH_DISTANCE = "farfield_switch_distance"  # in units of the object, for the display that the levels were made for
 MATERIAL = "farfield_material"  # property of the copy of a material: the name of the original
+PART = "farfield_part"  # Property of the collection: what the source instances, "" for its own mesh.
 FIGURES = "farfield_texmesh_figures"  # Property of the collection: JSON about how the levels were made.
 
 
@@ -68,6 +69,11 @@ class LevelSet(LodSet):
         return next(iter(self.source_names), "")
 
     @property
+    def label(self) -> str:
+        """The name of the source, with that of what it instances."""
+        return " ".join(filter(None, [self.source_name or self.collection.name, str(self.collection.get(PART, ""))]))
+
+    @property
     def is_editable(self) -> bool:
         """Whether the levels can be changed: not if they are linked from a library."""
         return is_local(self.collection) and all(is_local(level) for level in self.levels)
@@ -91,7 +97,11 @@ class LevelSet(LodSet):
         """Let every level show at any distance, and end a temporary visibility."""
         restore([*self.levels, self.source])
         for level in self.levels:
-            lod_crossfade.remove_crossfade(level, [material for material in level.data.materials if material is not None])
+            others = _find_sharing(level)
+            is_used = any(map(lod_crossfade.is_fading, others))
+            lod_crossfade.remove_crossfade(level, () if is_used else level.data.materials)
+            if others:  # They may cross-fade now or later, with the same materials.
+                lod_crossfade.show_always(level)
 
     def choose_level(self, camera: Camera) -> int:
         """Return the index of the coarsest level whose error is at most a pixel of `camera` at the nearest point of the object."""
@@ -116,24 +126,53 @@ class LevelSet(LodSet):
 level_sets_in, find_level_set, read_level_set = LevelSet.in_scene, LevelSet.find, LevelSet.read
 
 
-def add_level_set(
-    source: bpy.types.Object, scene: bpy.types.Scene, name: str, levels: Sequence[NewLevel], materials: Sequence[bpy.types.Material | None]
-) -> LevelSet:
-    """Create a collection named `name` with an object per level, at the position of the source.
+@dataclass(frozen=True)
+class Placement:
+    """Where levels are.
 
-    materials: of the slots of all levels. They are copied, so that a cross-fade leaves those of the source as they are; for levels with
-    images of their own once more.
+    Attributes:
+        name: of the object that they were made from.
+        object_uid: its session UID.
+        part: what it instances, "" for its own mesh.
+        matrix: (4, 4), of an instance to the world; None to be where the object is.
     """
-    collection = bpy.data.collections.new(name)
-    _parent_collection(source, scene).children.link(collection)
+
+    name: str
+    object_uid: int
+    part: str = ""
+    matrix: np.ndarray | None = None
+
+    @property
+    def label(self) -> str:
+        """The name of the levels."""
+        return f"{self.name} {self.part}" if self.part else self.name
+
+
+def add_materials(levels: Sequence[NewLevel], materials: Sequence[bpy.types.Material | None]) -> None:
+    """Give the meshes of levels copies of the `materials` of their slots, so that a cross-fade leaves those of the source as they are, and
+    levels with images of their own further ones."""
     copies = [None if material is None else _copy_material(material) for material in materials]
-    objects = []
     for number, level in enumerate(levels):
         for slot, material in enumerate(copies):
             image = level.images.get(slot)
             level.mesh.materials.append(material if image is None else _copy_for_level(materials[slot], number, image))
-        item = bpy.data.objects.new(f"{source.name} L{number}", level.mesh)
-        _place(item, source)
+
+
+def add_level_set(
+    source: bpy.types.Object,
+    levels: Sequence[NewLevel],
+    collection: bpy.types.Collection,
+    placement: Placement | None = None,
+) -> LevelSet:
+    """Add an object per level to a new `collection`: at the position of the source, or at that of its instance. Sets may share meshes."""
+    placement = placement or Placement(source.name, source.session_uid)
+    objects = []
+    for number, level in enumerate(levels):
+        item = bpy.data.objects.new(f"{placement.label} L{number}", level.mesh)
+        if placement.matrix is None:
+            _place(item, source)
+        else:
+            item.matrix_world = mathutils.Matrix(placement.matrix.tolist())
         item[KIND], item[NUMBER], item[ERROR] = LEVEL, number, float(level.error)
         item[SWITCH_DISTANCE], item[TRIANGLES] = float(level.switch_distance), len(level.mesh.polygons)
         item[SURFACE_DISTANCE] = float(level.surface_distance)
@@ -141,7 +180,22 @@ def add_level_set(
         collection.objects.link(item)
         objects.append(item)
     store_sources(collection, [source])
+    collection[PART] = placement.part
     return LevelSet(collection, objects)
+
+
+def add_collections(source: bpy.types.Object, scene: bpy.types.Scene, labels: Sequence[str]) -> list[bpy.types.Collection]:
+    """Return new collections for levels of a source, next to it; several are in one for all of them."""
+    parent = _parent_collection(source, scene)
+    if len(labels) > 1:
+        group = bpy.data.collections.new(f"{source.name} Levels")
+        group[KIND] = LEVEL
+        parent.children.link(group)
+        parent = group
+    collections = [bpy.data.collections.new(f"{label} Levels") for label in labels]
+    for collection in collections:
+        parent.children.link(collection)
+    return collections
 
 
 def _place(item: bpy.types.Object, source: bpy.types.Object) -> None:
@@ -166,8 +220,17 @@ def remove_level_set(levels: LevelSet) -> None:
     bpy.data.batch_remove([mesh for mesh in data if mesh.users == 0])
     bpy.data.batch_remove([material for material in materials if material.users == 0])
     bpy.data.batch_remove([image for image in images if image.users == 0])
-    if not levels.collection.objects and not levels.collection.children:
-        bpy.data.collections.remove(levels.collection)
+    groups = [item for item in bpy.data.collections if item.get(KIND) == LEVEL and levels.collection.name in item.children]
+    for collection in (levels.collection, *groups):
+        if not collection.objects and not collection.children:
+            bpy.data.collections.remove(collection)
+
+
+def _find_sharing(level: bpy.types.Object) -> list[bpy.types.Object]:
+    """Return the other objects with the mesh of a level."""
+    if level.data.users < 2:
+        return []
+    return [item for item in bpy.data.objects if item.data == level.data and item != level]
 
 
 def _parent_collection(source: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Collection:

@@ -30,12 +30,14 @@ class Rig:
         weights: (V, G), 0 where a vertex is in no group.
         keys: without that of the rest shape.
         basis: the name of the key of the rest shape, "" without shape keys.
+        keys_uid: session UID of the shape keys whose values those of levels follow, 0 without.
     """
 
     groups: tuple[str, ...]
     weights: csr_array
     keys: tuple[ShapeKey, ...]
     basis: str
+    keys_uid: int = 0
 
 
 def find_armatures(item: bpy.types.Object) -> list[bpy.types.ArmatureModifier]:
@@ -111,7 +113,7 @@ def read_rig(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph, to_object: 
     relative = [shapes[blocks.find(block.relative_key.name)] for block in blocks]
     offsets = [(shape - other) @ to_object.T for shape, other in zip(shapes, relative, strict=True)]
     keys = [ShapeKey(block.name, found) for block, found in zip(blocks, offsets, strict=True)]
-    return Rig(groups, weights, tuple(keys[1:]), blocks[0].name)
+    return Rig(groups, weights, tuple(keys[1:]), blocks[0].name, item.data.shape_keys.session_uid)
 
 
 def _read_shape(item: bpy.types.Object, index: int, depsgraph: bpy.types.Depsgraph) -> np.ndarray:

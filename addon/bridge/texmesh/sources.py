@@ -66,22 +66,34 @@ def read_textured_source(
         FileError: an image is missing.
     """
     evaluated, mesh_count = read_joined_mesh(item, depsgraph)
-    uv_map, textures, remarks = _read_textures(item, evaluated, read_image)
+    source = build_textured_source(item, evaluated, item.name, has_attributes, read_image)
+    remark = f'The levels of "{item.name}" are one mesh, joined from {mesh_count:,} instances.'
+    return replace(source, remarks=(remark, *source.remarks)) if mesh_count > 1 else source
+
+
+def build_textured_source(
+    item: bpy.types.Object,
+    evaluated: EvaluatedMesh,
+    name: str,
+    has_attributes: bool = True,
+    read_image: Callable[[bpy.types.Image], tuple[np.ndarray, bool]] = read_color_image,
+) -> TexturedSource:
+    """Return a mesh that `item` shows as a source with a name. Raises the errors of `read_textured_source`."""
+    uv_map, textures, remarks = _read_textures(name, evaluated, read_image)
     count = len(evaluated.triangles)
     corner_uvs = evaluated.at_corners(uv_map, np.arange(count)) if uv_map else np.zeros((count, 3, 2), np.float32)
     values, attributes = _read_corner_values(evaluated) if has_attributes else (None, ())
     origin = find_local_origin(evaluated.vertices)
     origin = np.zeros(3) if origin is None else origin
     mesh = TriangleMesh(evaluated.vertices - origin, evaluated.triangles, evaluated.material_indices)
-    textured = build_textured_mesh(mesh, corner_uvs, values, item.name, (NORMALS, 3) in attributes)
+    textured = build_textured_mesh(mesh, corner_uvs, values, name, (NORMALS, 3) in attributes)
     remarks = [
         *remarks,
-        *([f'The levels of "{item.name}" are one mesh, joined from {mesh_count:,} instances.'] if mesh_count > 1 else []),
-        *filter(None, [describe_coarseness(evaluated.vertices, f'"{item.name}"', "it")]),
-        *_describe_edges(item.name, textured),
-        *_describe_uvs(item.name, textured, bool(uv_map)),
+        *filter(None, [describe_coarseness(evaluated.vertices, f'"{name}"', "it")]),
+        *_describe_edges(name, textured),
+        *_describe_uvs(name, textured, bool(uv_map)),
     ]
-    return TexturedSource(item.name, item.session_uid, textured, origin, evaluated, uv_map, attributes, textures, tuple(remarks))
+    return TexturedSource(name, item.session_uid, textured, origin, evaluated, uv_map, attributes, textures, tuple(remarks))
 
 
 def read_source_at_rest(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> TexturedSource:
@@ -102,7 +114,7 @@ def read_source_at_rest(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) 
 
 
 def _read_textures(
-    item: bpy.types.Object, mesh: EvaluatedMesh, read_image: Callable[[bpy.types.Image], tuple[np.ndarray, bool]]
+    owner: str, mesh: EvaluatedMesh, read_image: Callable[[bpy.types.Image], tuple[np.ndarray, bool]]
 ) -> tuple[str, tuple[np.ndarray | None, ...], list[str]]:
     """Return the UV map of the textures, the texture of each material, and remarks."""
     all_found = [find_color_images(None if key is None else find_material(key)) for key in mesh.materials]
@@ -112,7 +124,7 @@ def _read_textures(
     uv_map = uv_maps[0] if uv_maps else mesh.uv_map
     remarks, textures, read = [], [], {}
     if len(uv_maps) > 1:
-        remarks.append(f'The images of "{item.name}" use several UV maps; only "{uv_map}" counts, the others are carried.')
+        remarks.append(f'The images of "{owner}" use several UV maps; only "{uv_map}" counts, the others are carried.')
     for image, name in found:
         if image is None or (name or mesh.uv_map) != uv_map:
             textures.append(None)
@@ -126,10 +138,10 @@ def _read_textures(
                 remarks.append(f'The image "{image.name}" is analyzed at {width} by {height} pixels.')
         textures.append(read[image.name])
     if not read:
-        remarks.append(f'"{item.name}" has no image texture; only its geometry counts.')
+        remarks.append(f'"{owner}" has no image texture; only its geometry counts.')
     mixed = [images[0][0].name for images in all_found if len(images) > 1]
     if mixed:
-        remarks.append(f'Materials of "{item.name}" mix images; only {quote_names(dict.fromkeys(mixed))} counts, bake them to count all.')
+        remarks.append(f'Materials of "{owner}" mix images; only {quote_names(dict.fromkeys(mixed))} counts, bake them to count all.')
     return uv_map, tuple(textures), remarks
 
 
