@@ -87,7 +87,7 @@ def scatter(item: bpy.types.Object, count: int) -> bpy.types.Object:
     return result
 
 
-def test_linked_duplicates_share_levels(ball, made, capsys):
+def test_levels_of_linked_duplicates_are_computed_once(ball, made, capsys):
     others = [duplicate(ball, location=(4, 0, 0)), duplicate(ball, location=(8, 0, 0), scale=(-1, 2, 1), name="Mirrored")]
     other = textured_ball(6, "Other")
     sets = make(ball, *others, other)

@@ -174,7 +174,7 @@ def add_level_set(
         else:
             item.matrix_world = mathutils.Matrix(placement.matrix.tolist())
         item[KIND], item[NUMBER], item[ERROR] = LEVEL, number, float(level.error)
-        item[SWITCH_DISTANCE], item[TRIANGLES] = float(level.switch_distance), len(level.mesh.polygons)
+        item[SWITCH_DISTANCE], item[TRIANGLES] = float(level.switch_distance), len(level.mesh.loops) - 2 * len(level.mesh.polygons)
         item[SURFACE_DISTANCE] = float(level.surface_distance)
         copy_render_properties(source, item)
         collection.objects.link(item)

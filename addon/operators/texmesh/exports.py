@@ -9,7 +9,7 @@ from ...bridge.texmesh.glb_levels import level_outputs, write_levels
 from ...core.errors import FileError
 from ...core.files.file_access import is_folder
 from ...core.files.outputs import Output
-from ...core.messages import join_sentences
+from ...core.messages import join_sentences, list_first
 from .. import long_work
 from ..error_reports import report_message, reports_errors
 from .operators import NO_LEVELS, selected_level_sets
@@ -63,7 +63,7 @@ class FARFIELD_OT_texmesh_export(bpy.types.Operator):
         path = path.with_suffix(SUFFIX)
         check_scene_outputs([Output("the file", path)] if self.one_file else level_outputs(path))
         paths, lacking = write_levels(selected_level_sets(context), path, self.quantized, self.one_file)
-        report_message(self, join_sentences([f"Saved {', '.join(item.name for item in paths)}.", *lacking]))
+        report_message(self, join_sentences([f"Saved {list_first(item.name for item in paths)}.", *lacking]))
         return {"FINISHED"}
 
 

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import bpy
 import numpy as np
@@ -25,14 +25,16 @@ from ...bridge.texmesh.placed_sources import SharedSources
 from ...bridge.texmesh.rebaked_images import RebakeTextures
 from ...bridge.texmesh.scale_attributes import write_scale_map
 from ...bridge.texmesh.sources import TexturedSource
+from ...core.billboards.cloud import Cloud
 from ...core.errors import GeometryError
 from ...core.jobs.progress import Progress, Steps, subprogress
-from ...core.messages import format_count, join_sentences
+from ...core.messages import format_count, join_sentences, list_first
 from ...core.texmesh.level_chain import LevelChain, make_levels
 from ...core.texmesh.rebaking.rebake import RebakedTextures
 from ...core.texmesh.scale_space.analysis import analyze_scale_space
 from ...core.texmesh.scale_space.features import ScaleMap
 from ...core.texmesh.settings import AnalysisSettings, SceneSettings, TexmeshSettings
+from .cloud_levels import CloudSource, read_cloud_sources
 from .rebaking import create_images, read_textures, rebake_chain
 from .sources import describe_small, read_sources
 
@@ -90,6 +92,7 @@ class LevelsJob:
         skipped: names of other objects with the reason.
         rebake_textures: what textures are rebaked from, per source, None to keep them.
         placements: where each source is.
+        clouds: what billboard clouds are made of, per source, None without.
         chains: the levels by the name of their collection, one per placement.
     """
 
@@ -102,6 +105,7 @@ class LevelsJob:
     skipped: list[str]
     rebake_textures: list[RebakeTextures | None]
     placements: list[list[Placement]]
+    clouds: list[CloudSource | None]
     chains: dict[str, LevelChain] = field(default_factory=dict)
 
     @property
@@ -110,26 +114,30 @@ class LevelsJob:
         pairs = zip(self.sources, self.placements, strict=True)
         return [(source, placement) for source, placements in pairs for placement in placements]
 
-    def core_steps(self) -> Steps[list[tuple[LevelChain, RebakedTextures | None]]]:
-        """Make the levels of every mesh, and their textures."""
+    def core_steps(self) -> Steps[list[tuple[LevelChain, RebakedTextures | None, Cloud | None]]]:
+        """Make the levels of every mesh, their textures, and its billboard cloud."""
         weights = np.array([len(source.mesh.triangles) for source in self.sources], float)
         starts = np.concatenate([[0.0], weights.cumsum() / weights.sum()])
         chains = []
         ranges = zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True)
-        for source, textures, (start, stop) in zip(self.sources, self.rebake_textures, ranges, strict=True):
+        for source, textures, cloud, (start, stop) in zip(self.sources, self.rebake_textures, self.clouds, ranges, strict=True):
             baking = stop if textures is None else stop - REBAKE_FRACTION * (stop - start)
             chain = yield from subprogress(make_levels(source.mesh, source.textures, self.settings), start, baking)
             steps = None if textures is None else rebake_chain(source, chain, textures)
-            chains.append((chain, None if steps is None else (yield from subprogress(steps, baking, stop))))
+            rebaked = None if steps is None else (yield from subprogress(steps, baking, stop))
+            chains.append((chain, rebaked, None if cloud is None else (yield from subprogress(cloud.build(), stop, stop))))
         return chains
 
-    def scene_steps(self, core_result: list[tuple[LevelChain, RebakedTextures | None]]) -> Steps[str]:
-        """Create the objects.
+    def scene_steps(self, core_result: list[tuple[LevelChain, RebakedTextures | None, Cloud | None]]) -> Steps[str]:
+        """Render the images of billboard clouds, and create the objects.
 
         Raises:
             GeometryError: an object or the scene was removed meanwhile; nothing was created.
         """
-        yield Progress(0.0, "Creating objects")
+        images = []
+        for source, (_, _, cloud) in zip(self.clouds, core_result, strict=True):
+            images.append(None if source is None else (yield from subprogress(source.capture(cloud), 0.0, 0.9)))
+        yield Progress(0.9, "Creating objects")
         scene = find_by_uid(bpy.data.scenes, self.scene_uid)
         if scene is None:
             raise GeometryError("The scene was removed while levels were being made; make them again.")
@@ -139,9 +147,10 @@ class LevelsJob:
             bpy.ops.object.mode_set(mode="OBJECT")
         collections = self._replace_collections(objects, scene)
         remarks = []
-        for index, (chain, rebaked) in enumerate(core_result):
-            remarks += self._add(objects, index, chain, rebaked, materials[index], scene, collections)
-        counts = _count_triangles(self.sources, self.placements, [chain for chain, _ in core_result], self.settings)
+        for index, (chain, rebaked, cloud) in enumerate(core_result):
+            last = None if cloud is None else self.clouds[index].create_level(cloud, images[index], chain.levels[-1].pixel_size, scene)
+            remarks += self._add(objects, index, chain, rebaked, materials[index], scene, collections, last)
+        counts = _count_triangles(self.sources, self.placements, [chain for chain, *_ in core_result], self.settings)
         return join_sentences([*counts, *remarks, *describe_skipped(self.skipped)])
 
     def _replace_collections(self, objects: dict[int, bpy.types.Object], scene: bpy.types.Scene) -> dict[int, bpy.types.Collection]:
@@ -165,8 +174,9 @@ class LevelsJob:
         materials: Sequence[bpy.types.Material | None],
         scene: bpy.types.Scene,
         collections: dict[int, bpy.types.Collection],
+        cloud: NewLevel | None,
     ) -> list[str]:
-        """Add the levels of source `index` at all its places, and return remarks about them."""
+        """Add the levels of source `index` and its billboard `cloud` at all its places, and return remarks about them."""
         source, textures = self.sources[index], self.rebake_textures[index]
         images = None if rebaked is None else create_images(source.name, materials, textures, rebaked)
         is_subset = self.settings.vertices == "original"
@@ -181,12 +191,15 @@ class LevelsJob:
             for number, level in enumerate(chain.levels)
         ]
         add_materials(new, materials)
+        if cloud is not None:
+            new.append(replace(cloud, switch_distance=self._switch_distance(cloud.error)))
         for placement in self.placements[index]:
             levels = add_level_set(objects[placement.object_uid], new, collections[id(placement)], placement)
             levels.collection[FIGURES] = json.dumps(describe_chain(chain))
             self.chains[levels.collection.name] = chain
             _show(levels, scene, self.scene_settings)
-        return [*([] if images is None else images.remarks), chain.scale_map.losses, *source.remarks]
+        last = None if cloud is None else f'The last level of "{source.name}" is a billboard cloud of {len(cloud.mesh.polygons)} quads.'
+        return [last, *([] if images is None else images.remarks), chain.scale_map.losses, *source.remarks]
 
     def _switch_distance(self, pixel_size: float) -> float:
         """Return the distance, in units of the object, at which a pixel of the display has a size."""
@@ -259,7 +272,10 @@ def prepare_levels(
     shared = SharedSources()
     _, skipped = read_sources(context, objects, shared.read)
     textures = read_textures(shared.sources, settings)
-    return LevelsJob(shared.sources, settings, scene_settings, context.scene.session_uid, skipped, textures, shared.placements)
+    clouds, without = read_cloud_sources(context, shared.sources, shared.placements, scene_settings)
+    skipped += without
+    uid = context.scene.session_uid
+    return LevelsJob(shared.sources, settings, scene_settings, uid, skipped, textures, shared.placements, clouds)
 
 
 def _show(levels: LevelSet, scene: bpy.types.Scene, settings: SceneSettings) -> None:
@@ -285,4 +301,4 @@ def _find_object(source: TexturedSource | Placement) -> bpy.types.Object:
 
 def describe_skipped(skipped: Sequence[str]) -> list[str]:
     """Return a sentence about the objects that were skipped, if there are any."""
-    return [f"Skipped: {'; '.join(skipped)}."] if skipped else []
+    return [f"Skipped: {list_first(skipped)}."] if skipped else []
