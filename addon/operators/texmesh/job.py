@@ -26,7 +26,7 @@ from ...bridge.texmesh.rebaked_images import RebakeTextures
 from ...bridge.texmesh.scale_attributes import write_scale_map
 from ...bridge.texmesh.sources import TexturedSource
 from ...core.billboards.cloud import Cloud
-from ...core.errors import GeometryError
+from ...core.errors import GeometryError, SettingsError
 from ...core.jobs.progress import Progress, Steps, subprogress
 from ...core.messages import format_count, join_sentences, list_first
 from ...core.texmesh.level_chain import LevelChain, make_levels
@@ -120,13 +120,24 @@ class LevelsJob:
         starts = np.concatenate([[0.0], weights.cumsum() / weights.sum()])
         chains = []
         ranges = zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True)
-        for source, textures, cloud, (start, stop) in zip(self.sources, self.rebake_textures, self.clouds, ranges, strict=True):
+        for index, (source, textures, (start, stop)) in enumerate(zip(self.sources, self.rebake_textures, ranges, strict=True)):
             baking = stop if textures is None else stop - REBAKE_FRACTION * (stop - start)
             chain = yield from subprogress(make_levels(source.mesh, source.textures, self.settings), start, baking)
             steps = None if textures is None else rebake_chain(source, chain, textures)
             rebaked = None if steps is None else (yield from subprogress(steps, baking, stop))
-            chains.append((chain, rebaked, None if cloud is None else (yield from subprogress(cloud.build(), stop, stop))))
+            chains.append((chain, rebaked, (yield from subprogress(self._build_cloud(index), stop, stop))))
         return chains
+
+    def _build_cloud(self, index: int) -> Steps[Cloud | None]:
+        """Return the billboard cloud of source `index`, None if it is not wanted or needs more quads."""
+        if self.clouds[index] is None:
+            return None
+        try:
+            return (yield from self.clouds[index].build())
+        except SettingsError as error:
+            self.clouds[index] = None
+            self.skipped.append(f"the billboard cloud ({str(error).removesuffix('.')})")
+            return None
 
     def scene_steps(self, core_result: list[tuple[LevelChain, RebakedTextures | None, Cloud | None]]) -> Steps[str]:
         """Render the images of billboard clouds, and create the objects.
