@@ -108,6 +108,38 @@ def test_levels_follow_their_armature(tube, capsys):
     assert all(posed < 1.1 * resting + 0.01 * RADIUS for posed, resting in zip(bent, at_rest, strict=True)), (bent, at_rest)
 
 
+def test_duplicates_with_armatures_of_their_own_have_the_same_meshes(tube):
+    rig, other, second = tube.parent, tube.copy(), tube.parent.copy()
+    for item in (other, second):
+        bpy.context.scene.collection.objects.link(item)
+    other.parent, second.location = second, (0.0, 9.0, 0.0)
+    for modifier in other.modifiers:
+        modifier.object = second
+    other.select_set(True)
+    bpy.context.view_layer.update()
+    assert bpy.ops.farfield.texmesh_levels(**SMALL) == {"FINISHED"}
+    first_set, second_set = level_sets_in(bpy.context.scene)
+    assert [level.data for level in first_set.levels] == [level.data for level in second_set.levels]
+    pose(second, 1.2)
+    assert measure(first_set.levels[0], first_set.source) < 1e-6 and measure(second_set.levels[0], second_set.source) < 1e-6
+    pose(rig, -1.2)
+    assert measure(first_set.levels[0], first_set.source) < 1e-6 and measure(second_set.levels[0], second_set.source) < 1e-6
+
+
+def test_instances_of_rigged_collections_keep_their_shape_and_say_so(tube, capsys):
+    collection = bpy.data.collections.new("Character")
+    for item in (tube, tube.parent):
+        collection.objects.link(item)
+        bpy.context.scene.collection.objects.unlink(item)
+    empty = bpy.data.objects.new("Place", None)
+    empty.instance_type, empty.instance_collection = "COLLECTION", collection
+    bpy.context.scene.collection.objects.link(empty)
+    pose(tube.parent, 1.2)
+    empty.select_set(True)
+    assert len(make()) == 3
+    assert 'The levels of "Place" have its current shape; they do not follow armatures and shape keys' in capsys.readouterr().out
+
+
 def test_normals_of_levels_turn_with_their_faces(tube):
     levels = make()
     pose(tube.parent, 1.2)

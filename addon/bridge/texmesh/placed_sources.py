@@ -26,7 +26,9 @@ def read_placed_sources(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) 
     """
     instances = read_instances([item], depsgraph)
     if not 1 < len(instances) <= MAX_INSTANCES:
-        return [(read_source_at_rest(item, depsgraph), Placement(item.name, item.session_uid))]
+        source = read_source_at_rest(item, depsgraph)
+        remarks = (*source.remarks, *_describe_instanced(item))
+        return [(replace(source, remarks=remarks), Placement(item.name, item.session_uid))]
     sources: dict[int, TexturedSource] = {}
     placed: list[PlacedSource] = []
     counts: dict[str, int] = {}
@@ -36,7 +38,7 @@ def read_placed_sources(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) 
         source = sources.get(id(instance.mesh)) if is_shared else None
         if source is None:
             source = build_textured_source(item, instance.mesh if is_shared else _shear(instance, frame), _name(item, instance))
-            source = replace(source, remarks=(*source.remarks, *_describe_frozen(item)))
+            source = replace(source, remarks=(*source.remarks, *describe_frozen(item), *_describe_instanced(item)))
         if is_shared:
             sources[id(instance.mesh)] = source
         counts[instance.part] = number = counts.get(instance.part, -1) + 1
@@ -55,10 +57,13 @@ def _shear(instance: SourceInstance, frame: np.ndarray) -> EvaluatedMesh:
     return join_instances([instance], np.linalg.inv(frame))
 
 
-def _describe_frozen(item: bpy.types.Object) -> list[str]:
-    rigged = is_collection_instance(item) and any(map(has_rig, item.instance_collection.all_objects))
-    text = f'The levels of "{item.name}" have its current shape; they do not follow the armatures and shape keys of its collection.'
-    return [text] if rigged else describe_frozen(item)
+def _describe_instanced(item: bpy.types.Object) -> list[str]:
+    """Return a sentence if an instanced collection has objects that armatures or shape keys deform."""
+    is_rigged = is_collection_instance(item) and item.instance_collection and any(map(has_rig, item.instance_collection.all_objects))
+    text = (
+        f'The levels of "{item.name}" have its current shape; they do not follow armatures and shape keys of the objects in its collection.'
+    )
+    return [text] if is_rigged else []
 
 
 class SharedSources:

@@ -1,6 +1,5 @@
 """Billboard clouds as last levels: built and captured as by the tool `billboards`, with materials that every program shows."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -100,4 +99,4 @@ def _read(context: bpy.types.Context, item: bpy.types.Object, frame: np.ndarray,
     with temporarily_visible(context, [item]) as depsgraph:
         source = read_source([item], depsgraph)
     check_images(source)
-    return CloudSource(source, frame, BillboardSettings(levels=1, quads=quads, max_normal_deviation=math.radians(90.0)))
+    return CloudSource(source, frame, BillboardSettings(levels=1, quads=quads))
