@@ -117,8 +117,8 @@ def add_farfield_levels(assets: Sequence[Asset], ratios: Sequence[float]) -> str
     settings = TexmeshSettings(levels="ratios", ratios=",".join(f"{ratio:g}" for ratio in ratios))
     by_name = {asset.item.name: asset for asset in assets}
     job = prepare_levels(bpy.context, [asset.item for asset in assets], settings, SceneSettings(cross_fade=False))
-    for source in job.sources:
-        asset = by_name[source.name]
+    for source, placement in job.placed:
+        asset = by_name[placement.name]
         asset.source, asset.triangles = source, len(source.mesh.triangles)
     try:
         summary = run_to_end(run_job(job))
@@ -126,8 +126,8 @@ def add_farfield_levels(assets: Sequence[Asset], ratios: Sequence[float]) -> str
         for asset in assets:
             asset.failures.update({("farfield", ratio): str(error) for ratio in ratios})
         return str(error)
-    for source, name in zip(job.sources, job.chains, strict=True):
-        asset = by_name[source.name]
+    for (source, placement), name in zip(job.placed, job.chains, strict=True):
+        asset = by_name[placement.name]
         meshes = [item.data for item in read_level_set(bpy.data.collections[name]).levels]
         counts = np.array([len(mesh.polygons) for mesh in meshes])
         for ratio in ratios:

@@ -117,7 +117,7 @@ def write_output(job: LevelsJob, out: Path, settings: ExportSettings) -> list[st
 
 def named_chains(job: LevelsJob) -> list[tuple[str, Any]]:
     """Return the names of the objects and their levels."""
-    return [(source.name, chain) for source, chain in zip(job.sources, job.chains.values(), strict=True)]
+    return [(placement.label, chain) for (_, placement), chain in zip(job.placed, job.chains.values(), strict=True)]
 
 
 def describe_map(name: str, scale_map: ScaleMap) -> dict[str, Any]:

@@ -31,7 +31,7 @@ MAY_IMPORT = {  # the layers, lowest first
     "registration": {"panels", "operators", "bridge", "compat", "core"},
 }
 TOOLS = {"billboards", "btf", "unwrap", "photos", "restore", "texmesh", "packages", "bdam", "clipbox"}
-TOOLS_MAY_IMPORT = {"photos": {"restore", "unwrap"}, "btf": {"billboards"}, "packages": {"texmesh"}}
+TOOLS_MAY_IMPORT = {"photos": {"restore", "unwrap"}, "btf": {"billboards"}, "packages": {"texmesh"}, "texmesh": {"billboards"}}
 LAST_NETS = {  # may catch Exception
     *("addon/operators/error_reports.py", "addon/operators/long_work.py", "scripts/lib/command_line.py"),
     *("addon/operators/follow_handlers.py", "addon/operators/view_following.py"),

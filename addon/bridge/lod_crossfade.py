@@ -21,6 +21,7 @@ CAMERA_POSITION = "farfield_camera_position"  # in world space
 PIXEL_SIZE = "farfield_pixel_size"  # the growth of a pixel's side per unit of distance, its side at the camera, and 0
 MIN_PIXEL, MAX_PIXEL = 0.0, 1e30  # limits of objects that show from the camera on, or up to any distance
 MIN_RANGE = 1e-3
+ALWAYS = (-1.0, MAX_PIXEL)  # limits of objects that always show; 0 as start would need an active camera
 NOISE_CELLS = 8192.0  # per side of the image: all rays within one cell get the same random number
 NODE_WIDTH = 260.0
 # Pixels along the side that the camera's angle or scale spans.
@@ -61,6 +62,17 @@ def apply_to_materials(item: bpy.types.Object) -> None:
         for slot in item.material_slots:
             if slot.material is not None:
                 _insert_group(slot.material)
+
+
+def is_fading(item: bpy.types.Object) -> bool:
+    """Return whether `item` cross-fades for the active camera."""
+    return CAMERA_POSITION in item
+
+
+def show_always(item: bpy.types.Object) -> None:
+    """Let `item` show at any distance, also with the materials of objects that cross-fade."""
+    remove_crossfade(item, ())
+    item[CROSSFADE] = [*ALWAYS, MIN_RANGE]
 
 
 def remove_crossfade(item: bpy.types.Object, materials: Sequence[bpy.types.Material | None]) -> None:

@@ -76,7 +76,7 @@ class LodSet:
     @property
     def has_crossfade(self) -> bool:
         """Whether the levels cross-fade."""
-        return any(lod_crossfade.CROSSFADE in level for level in self.levels)
+        return any(lod_crossfade.is_fading(level) for level in self.levels)
 
 
 def set_hidden(item: bpy.types.Object, hidden: bool) -> None:

@@ -16,7 +16,9 @@ def find_by_uid(data_blocks: Iterable[bpy.types.ID], session_uid: int) -> bpy.ty
 
 def world_matrix(item: bpy.types.Object) -> mathutils.Matrix:
     """Return the world matrix of an object. Blender does not compute `matrix_world` of objects that are hidden in an opened file."""
-    return item.matrix_basis if item.parent is None and not item.constraints else item.matrix_world
+    if item.constraints or (item.parent is not None and item.parent_type not in {"OBJECT", "ARMATURE"}):
+        return item.matrix_world
+    return item.matrix_basis if item.parent is None else world_matrix(item.parent) @ item.matrix_parent_inverse @ item.matrix_basis
 
 
 @contextmanager

@@ -7,7 +7,7 @@ import mathutils
 import numpy as np
 import pytest
 
-from farfield.addon.bridge.texmesh.level_sets import FIGURES, LevelSet, NewLevel, add_level_set, remove_level_set
+from farfield.addon.bridge.texmesh.level_sets import FIGURES, LevelSet, NewLevel, add_collections, add_level_set, remove_level_set
 from farfield.addon.bridge.texmesh.trial_objects import MARK
 from farfield.addon.core.errors import FarfieldError, GeometryError, SettingsError
 from farfield.addon.core.geometry.cameras import Camera
@@ -29,7 +29,7 @@ def levels() -> LevelSet:
     """Four levels of a ball with figures, as the operator makes them."""
     ball = textured_ball(8, "Ball")
     new = [NewLevel(ball.data.copy(), 0.004 * number, 0.0, 0.0) for number in range(4)]
-    made = add_level_set(ball, bpy.context.scene, "Ball Levels", new, [])
+    made = add_level_set(ball, new, *add_collections(ball, bpy.context.scene, ["Ball"]))
     figures = {
         "levels": [{"triangles": count} for count in TRIANGLES],
         "candidates": [{"triangles": count, "pixel_size": 0.004 * number} for number, count in enumerate(TRIANGLES)],

@@ -7,7 +7,15 @@ import pytest
 
 from farfield.addon.bridge import viewers
 from farfield.addon.bridge.lod_crossfade import CROSSFADE
-from farfield.addon.bridge.texmesh.level_sets import ERROR, LevelSet, NewLevel, add_level_set, level_sets_in, remove_level_set
+from farfield.addon.bridge.texmesh.level_sets import (
+    ERROR,
+    LevelSet,
+    NewLevel,
+    add_collections,
+    add_level_set,
+    level_sets_in,
+    remove_level_set,
+)
 from farfield.addon.bridge.texmesh.ring_overlay import find_rings
 from farfield.addon.bridge.texmesh.temporary_visibility import STATE, resume_crossfades
 from farfield.addon.core.geometry.cameras import Camera, distance_to_box
@@ -26,7 +34,7 @@ def levels() -> LevelSet:
     ball.location = (5.0, 0.0, 0.0)
     bpy.context.view_layer.update()
     new = [NewLevel(ball.data.copy(), error, 0.0, 100.0 * error) for error in ERRORS]
-    made = add_level_set(ball, bpy.context.scene, "Ball Levels", new, [])
+    made = add_level_set(ball, new, *add_collections(ball, bpy.context.scene, ["Ball"]))
     bpy.context.view_layer.update()
     made.add_crossfade(bpy.context.scene, 0.1)
     ball.hide_viewport = ball.hide_render = True

@@ -236,16 +236,15 @@ def use_two_uv_maps(item):
         polygon.material_index = polygon.index % 2
 
 
-def add_shape_key(item):
+def add_shape_keys(item):
     item.shape_key_add(name="Basis")
-    key = item.shape_key_add(name="Wide")
-    key.data[0].co *= 1.2
-    key.value = 1.0
+    item.shape_key_add(name="Wide").data[0].co *= 1.2
+    item.data.shape_keys.use_relative = False
 
 
-def add_armature(item):
-    bpy.ops.object.armature_add()
-    item.modifiers.new("Armature", "ARMATURE").object = bpy.context.object
+def add_lattice(item):
+    bpy.ops.object.add(type="LATTICE")
+    item.modifiers.new("Cage", "LATTICE").object = bpy.context.object
 
 
 @pytest.mark.parametrize(
@@ -259,8 +258,8 @@ def add_armature(item):
         (add_fin, '"Bällchen" has 1 edge with more than two faces; its levels may be open there.'),
         (mix_images, 'Materials of "Bällchen" mix images; only "Checker" counts, bake them to count all.'),
         (use_two_uv_maps, 'The images of "Bällchen" use several UV maps; only "UVMap" counts, the others are carried.'),
-        (add_shape_key, 'The levels of "Bällchen" have its current shape; they do not follow its shape keys.'),
-        (add_armature, 'The levels of "Bällchen" have its current shape; they do not follow its armature.'),
+        (add_shape_keys, 'The levels of "Bällchen" have its current shape; they do not follow its shape keys.'),
+        (add_lattice, 'The levels of "Bällchen" have its current shape; they do not follow its modifier "Cage".'),
     ],
     ids=lambda value: getattr(value, "__name__", ""),
 )

@@ -130,22 +130,28 @@ def _format_shape(level: bpy.types.Object, material: str, first_vertex: int) -> 
 
 
 def _create_export_copy(level: bpy.types.Object) -> bpy.types.Object:
-    """Create a visible, selected copy of `level` with a material that every glTF reader supports.
+    """Create a visible, selected copy of `level` with a plain mesh."""
+    copy = bpy.data.objects.new(level.name, create_plain_mesh(level))
+    copy.matrix_basis = level.matrix_basis
+    for key in level.keys():  # noqa: SIM118 - an object is not a dict
+        copy[key] = level[key]
+    bpy.context.scene.collection.objects.link(copy)
+    copy.select_set(True)
+    return copy
+
+
+def create_plain_mesh(level: bpy.types.Object) -> bpy.types.Mesh:
+    """Create a copy of the quads of `level` with a material that every glTF reader supports.
 
     With a normal map the quads are flat shaded, because a tangent-space normal map is relative to the quad's own normal.
     """
     normals = compute_tangent_normals(level)
-    copy = bpy.data.objects.new(level.name, level.data.copy())
-    copy.matrix_basis = level.matrix_basis
-    for key in level.keys():  # noqa: SIM118 - an object is not a dict
-        copy[key] = level[key]
-    copy.data.materials.clear()
-    copy.data.materials.append(_create_export_material(level.name, front_color_image(level), normals))
-    if normals is not None and CORNER_NORMALS in copy.data.attributes:
-        copy.data.attributes.remove(copy.data.attributes[CORNER_NORMALS])
-    bpy.context.scene.collection.objects.link(copy)
-    copy.select_set(True)
-    return copy
+    mesh = level.data.copy()
+    mesh.materials.clear()
+    mesh.materials.append(_create_export_material(level.name, front_color_image(level), normals))
+    if normals is not None and CORNER_NORMALS in mesh.attributes:
+        mesh.attributes.remove(mesh.attributes[CORNER_NORMALS])
+    return mesh
 
 
 def _create_export_material(name: str, image: bpy.types.Image | None, normals: np.ndarray | None) -> bpy.types.Material:

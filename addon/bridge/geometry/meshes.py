@@ -29,6 +29,7 @@ class SourceInstance:
         first_primitive: index of its first primitive in the source; it has `len(mesh.triangles) / triangles_per_primitive` of them.
         random: the value of Object Info > Random, 0..1.
         object_uid: session UID of the selected object, which stays when it is renamed.
+        part: the name of the object that is instanced, "" for the selected object itself.
     """
 
     name: str
@@ -37,6 +38,7 @@ class SourceInstance:
     first_primitive: int
     random: float = 0.0
     object_uid: int = 0
+    part: str = ""
 
     @property
     def is_mirrored(self) -> bool:
@@ -252,10 +254,11 @@ def read_instances(objects: list[bpy.types.Object], depsgraph: bpy.types.Depsgra
             meshes[key] = _read_mesh(instance.object, depsgraph)
         if len(meshes[key].triangles):
             matrix = np.array(instance.matrix_world, np.float64)
-            found_by_owner[owner.name_full].append((owner, meshes[key], matrix, instance.random_id / 0xFFFFFFFF))
+            part = instance.object.name if instance.is_instance else ""
+            found_by_owner[owner.name_full].append((owner, meshes[key], matrix, instance.random_id / 0xFFFFFFFF, part))
     instances, first_primitive = [], 0
-    for owner, mesh, matrix, random in (item for items in found_by_owner.values() for item in items):
-        instances.append(SourceInstance(owner.name, mesh, matrix, first_primitive, random, owner.session_uid))
+    for owner, mesh, matrix, random, part in (item for items in found_by_owner.values() for item in items):
+        instances.append(SourceInstance(owner.name, mesh, matrix, first_primitive, random, owner.session_uid, part))
         first_primitive += len(mesh.triangles)
     return instances
 

@@ -14,6 +14,7 @@ from ..geometry.joined_meshes import find_frame
 from ..geometry.meshes import find_material
 from ..objects import world_matrix
 from ..shading.texture_uses import TextureUse
+from ..texmesh.rigs import describe_frozen
 from ..texmesh.sources import TexturedSource, read_textured_source
 from .images import PackageImages
 from .materials import read_material
@@ -49,7 +50,7 @@ def read_package_source(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) 
     materials = [None if key is None else find_material(key) for key in source.evaluated.materials or (None,)]
     found = [read_material(material, images) for material in materials]
     lacking = {item.source.name: (*item.lacking, *_list_lost_wrapping(item.placement, source)) for item in found}
-    remarks = [*source.remarks, *describe_lacking(lacking, "The package")]
+    remarks = [*source.remarks, *describe_frozen(item), *describe_lacking(lacking, "The package")]
     mesh = _to_world(_place_uvs(source.mesh, [material.placement for material in found]), item)
     sources = tuple(material.source for material in found)
     return PackageSource(source.name, mesh, sources, source.textures or (None,), tuple(remarks))

@@ -36,6 +36,7 @@ OPTIONS = {
     "export_all_vertex_colors": False,
     "export_active_vertex_color_when_no_material": False,
     "export_animations": False,
+    "export_try_sparse_sk": False,
     "export_current_frame": True,
     "export_hierarchy_full_collections": True,  # The collection need not be in a scene.
 }
@@ -65,7 +66,7 @@ def write_levels(sets: Sequence[LevelSet], path: Path, settings: ExportSettings 
         sentences = rebake_images(levels, settings.webp) if is_rebaked or settings.webp else []
         for level, target, found in zip(levels, paths, nodes, strict=True):
             precision = None if not settings.quantized else COMPRESSIBLE if settings.compressed else FULL
-            arranged = arrange_levels(level.document, found, precision, objects.material_names, objects.unlit)
+            arranged = arrange_levels(level.document, found, precision, objects.material_names, objects.unlit, objects.armature_names)
             (folder / target.name).write_bytes(save_glb(arranged, settings.compressed))
         lacking = objects.lacking
     return paths, [*sentences, *describe_lacking(lacking, "The .glb" if settings.one_file else "Each .glb")]
@@ -103,9 +104,10 @@ def list_nodes(sets: Sequence[LevelSet], objects: GlbObjects, number: int | None
             item = levels.levels[index]
             source = objects.add(item, levels.source_name)
             others = tuple(range(first + 1, first + len(indices))) if len(nodes) == first else ()
-            name = f"{levels.source_name or levels.collection.name}_LOD{index}"
             coverages = _coverages(levels) if others else ()
-            nodes.append(LevelNode(source, name, bounds, _matrix(item), others, coverages, float(levels.errors[index])))
+            nodes.append(
+                LevelNode(source, f"{levels.label}_LOD{index}", bounds, _matrix(item), others, coverages, float(levels.errors[index]))
+            )
     return nodes
 
 

@@ -9,9 +9,11 @@ import numpy as np
 
 from ...core.errors import GeometryError
 from ..geometry.evaluated_mesh import EvaluatedMesh, read_evaluated_mesh
+from ..objects import world_matrix
 from .glb_images import GlbImages
 from .glb_materials import COLORS, GlbMaterial, rewrite_for_glb
 from .level_sets import MATERIAL
+from .rigs import find_armature, is_animated
 
 NAME = "Farfield Export"
 NUMBER_SUFFIX = re.compile(r"\.\d+$")  # that Blender adds to names of copies
@@ -32,6 +34,8 @@ class GlbObjects:
         self._images = GlbImages()
         self._materials: dict[bpy.types.Material, GlbMaterial] = {}
         self._meshes: list[bpy.types.Mesh] = []
+        self._armatures: dict[bpy.types.Object, bpy.types.Object] = {}
+        self._shared: dict[bpy.types.Mesh, str] = {}
 
     def __enter__(self) -> "GlbObjects":
         self.collection = bpy.data.collections.new(NAME)
@@ -53,20 +57,32 @@ class GlbObjects:
         """The names of copies of materials that are shown without light."""
         return {found.copy.name for found in self._materials.values() if found.is_unlit}
 
+    @property
+    def armature_names(self) -> dict[str, str]:
+        """The names of armatures by those of their copies."""
+        return {copy.name: armature.name for armature, copy in self._armatures.items()}
+
     def clear(self) -> None:
         """Remove the objects and their meshes."""
         bpy.data.batch_remove(list(self.collection.objects))
+        self._armatures.clear()
         bpy.data.batch_remove(self._meshes)
         self._meshes.clear()
+        self._shared.clear()
 
     def add(self, item: bpy.types.Object, label: str) -> str:
-        """Add an object with the mesh and the materials of another one, without its transform, and return its name.
+        """Add an object with the mesh and the materials of another one, without its transform, and return its name. One object stands for
+        all with the same mesh. If an armature deforms it, it is at its place under a copy of the armature, since vertices of skins are in
+        the space of the scene.
 
         label: the name under which its attributes are listed that the file lacks.
 
         Raises:
             GeometryError: it has no triangles, or is in Edit Mode. FileError: an image of a material is missing or cannot be read.
         """
+        armature = find_armature(item)
+        if armature is None and item.data in self._shared:
+            return self._shared[item.data]
         if item.data.is_editmode:
             raise GeometryError(f'"{item.name}" is in Edit Mode; leave it.')
         mesh = read_evaluated_mesh(item.data, item)
@@ -86,7 +102,23 @@ class GlbObjects:
         self.uv_maps[result.name] = max(data.uv_layers.active_index, 0)
         for slot, found in zip(result.material_slots, slots, strict=True):
             slot.link, slot.material = "OBJECT", None if found is None else found.copy
+        if armature is None:
+            self._shared[item.data] = result.name
+        else:
+            result.matrix_world = world_matrix(item)
+            result.modifiers.new(armature.name, "ARMATURE").object = self._add_armature(armature)
+            self._note(label, ["animations"] if is_animated(armature) else [])
         return result.name
+
+    def _add_armature(self, armature: bpy.types.Object) -> bpy.types.Object:
+        """Return a copy of an armature without parent and animation, which the exporter writes at rest."""
+        if armature not in self._armatures:
+            copy = self._armatures[armature] = armature.copy()
+            copy.animation_data_clear()
+            copy.parent = None
+            copy.matrix_world = world_matrix(armature)
+            self.collection.objects.link(copy)
+        return self._armatures[armature]
 
     def note_document(self, document: dict) -> None:
         """Note what a file lacks that the exporter may write or not."""

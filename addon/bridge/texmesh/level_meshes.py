@@ -7,18 +7,23 @@ from ...core.geometry.mesh import scaled_normals
 from ...core.geometry.transforms import normalize
 from ...core.texmesh.corner_normals import repair_normals
 from ...core.texmesh.scale_space.features import ScaleMap
+from ...core.texmesh.surface_points import find_vertex_weights
 from ...core.texmesh.textured_mesh import TexturedMesh
 from ..geometry.evaluated_mesh import EvaluatedMesh, MeshAttribute
 from ..geometry.mesh_arrays import write_attribute, write_corner_normals, write_triangles
+from .rigs import write_rig
 from .scale_attributes import SCALE_ATTRIBUTE, find_vertex_scales
 from .sources import NORMALS, TexturedSource
 
 
-def create_level_mesh(name: str, source: TexturedSource, level: TexturedMesh, scale_map: ScaleMap, is_subset: bool) -> bpy.types.Mesh:
-    """Create a mesh in the object space of the source, without materials.
+def create_level_mesh(
+    name: str, item: bpy.types.Object, source: TexturedSource, level: TexturedMesh, scale_map: ScaleMap, is_subset: bool
+) -> bpy.types.Mesh:
+    """Create a mesh in the object space of `source`, which was read from `item`, without materials.
 
     Texture coordinates, normals and corner colors are those of the level. SCALE_ATTRIBUTE is that of `scale_map`, the analysis of the
-    source. All other attributes are those of the source that `level.sources` refers to: those of faces at the first corner.
+    source. All other attributes are those of the source that `level.sources` refers to: those of faces at the first corner. Vertex groups
+    and shape keys are interpolated.
 
     is_subset: whether normals are those of vertices of the source, which are repaired where they do not fit the faces.
     """
@@ -36,7 +41,7 @@ def create_level_mesh(name: str, source: TexturedSource, level: TexturedMesh, sc
         start += width
         if attribute == NORMALS:
             normals = repair_normals(source.mesh, level) if is_subset else level.attributes[level.wedge_triangles, columns]
-            _write_normals(mesh, level, normals)
+            _write_normals(mesh, level, normals, source.rig is not None)
         elif attribute not in mesh.attributes:
             write_attribute(mesh, attribute, "CORNER", level.attributes[:, columns][level.wedge_triangles])
     if not any(attribute == NORMALS for attribute, _ in source.attributes):
@@ -50,6 +55,9 @@ def create_level_mesh(name: str, source: TexturedSource, level: TexturedMesh, sc
             write_attribute(mesh, attribute_name, attribute.domain, _carry(evaluated, attribute, faces, corners, vertex_corners))
     mesh.attributes.new("material_index", "INT", "FACE").data.foreach_set("value", level.materials.astype(np.int32))
     _activate(mesh, source)
+    if source.rig is not None:
+        weights = find_vertex_weights(source.mesh, level, evaluated.triangles, len(evaluated.vertices))
+        write_rig(mesh, source.rig, weights, item.data.shape_keys)
     return mesh
 
 
@@ -64,14 +72,21 @@ def _carry(mesh: EvaluatedMesh, attribute: MeshAttribute, faces: np.ndarray, cor
     return values[..., 0] if values.shape[-1] == 1 else values
 
 
-def _write_normals(mesh: bpy.types.Mesh, level: TexturedMesh, normals: np.ndarray) -> None:
-    """Write the normals (T, 3, 3) of smooth faces; corners of flat faces have normals without length, and get that of the face."""
+def _write_normals(mesh: bpy.types.Mesh, level: TexturedMesh, normals: np.ndarray, is_deformed: bool) -> None:
+    """Write the normals (T, 3, 3) of smooth faces; corners of flat faces have normals without length, and get that of the face.
+
+    is_deformed: whether they turn with the faces when the mesh is deformed, for which Blender stores them in 16 bits.
+    """
     is_flat = np.linalg.norm(normals, axis=2).min(axis=1) < 0.5
     if is_flat.any():
         _write_flat(mesh, is_flat)
     if not is_flat.all():
         faces = scaled_normals(level.vertices[level.triangles])
-        write_corner_normals(mesh, normalize(np.where(is_flat[:, None, None], faces[:, None], normals)))
+        directions = normalize(np.where(is_flat[:, None, None], faces[:, None], normals))
+        write_corner_normals(mesh, directions)
+        if is_deformed:
+            mesh.attributes.remove(mesh.attributes["custom_normal"])
+            mesh.normals_split_custom_set(directions.reshape(-1, 3).tolist())
 
 
 def _write_flat(mesh: bpy.types.Mesh, is_flat: np.ndarray) -> None:

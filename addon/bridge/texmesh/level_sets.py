@@ -21,13 +21,16 @@ from ..objects import world_matrix
 from ..rendering import render_properties
 from ..rendering.render_properties import copy_render_properties
 from ..source_links import store_sources
+from .rigs import follow_parent, follow_rig, moves_with_armature
 from .temporary_visibility import restore
 
 LEVEL = "texmesh_level"  # the KIND of the objects
+IMAGE = "texmesh_image"  # the KIND of images that are removed with the levels: those of billboard clouds
 TRIANGLES = "farfield_triangles"
 SURFACE_DISTANCE = "farfield_surface_distance"  # in units of the object, see `NewLevel`
 SWITCH_DISTANCE = "farfield_switch_distance"  # in units of the object, for the display that the levels were made for
 MATERIAL = "farfield_material"  # property of the copy of a material: the name of the original
+PART = "farfield_part"  # Property of the collection: what the source instances, "" for its own mesh.
 FIGURES = "farfield_texmesh_figures"  # Property of the collection: JSON about how the levels were made.
 
 
@@ -64,6 +67,11 @@ class LevelSet(LodSet):
         return next(iter(self.source_names), "")
 
     @property
+    def label(self) -> str:
+        """The name of the source, with that of what it instances."""
+        return " ".join(filter(None, [self.source_name or self.collection.name, str(self.collection.get(PART, ""))]))
+
+    @property
     def is_editable(self) -> bool:
         """Whether the levels can be changed: not if they are linked from a library."""
         return is_local(self.collection) and all(is_local(level) for level in self.levels)
@@ -87,7 +95,11 @@ class LevelSet(LodSet):
         """Let every level show at any distance, and end a temporary visibility."""
         restore([*self.levels, self.source])
         for level in self.levels:
-            lod_crossfade.remove_crossfade(level, [material for material in level.data.materials if material is not None])
+            others = _find_sharing(level)
+            is_used = any(map(lod_crossfade.is_fading, others))
+            lod_crossfade.remove_crossfade(level, () if is_used else level.data.materials)
+            if others:  # They may cross-fade now or later, with the same materials.
+                lod_crossfade.show_always(level)
 
     def choose_level(self, camera: Camera) -> int:
         """Return the index of the coarsest level whose error is at most a pixel of `camera` at the nearest point of the object."""
@@ -112,42 +124,114 @@ class LevelSet(LodSet):
 level_sets_in, find_level_set, read_level_set = LevelSet.in_scene, LevelSet.find, LevelSet.read
 
 
-def add_level_set(
-    source: bpy.types.Object, scene: bpy.types.Scene, name: str, levels: Sequence[NewLevel], materials: Sequence[bpy.types.Material | None]
-) -> LevelSet:
-    """Create a collection named `name` with an object per level, at the position of the source.
+@dataclass(frozen=True)
+class Placement:
+    """Where levels are.
 
-    materials: of the slots of all levels. They are copied, so that a cross-fade leaves those of the source as they are.
+    Attributes:
+        name: of the object that they were made from.
+        object_uid: its session UID.
+        part: what it instances, "" for its own mesh.
+        matrix: (4, 4), of an instance to the world; None to be where the object is.
     """
-    collection = bpy.data.collections.new(name)
-    _parent_collection(source, scene).children.link(collection)
+
+    name: str
+    object_uid: int
+    part: str = ""
+    matrix: np.ndarray | None = None
+
+    @property
+    def label(self) -> str:
+        """The name of the levels."""
+        return f"{self.name} {self.part}" if self.part else self.name
+
+
+def add_materials(levels: Sequence[NewLevel], materials: Sequence[bpy.types.Material | None]) -> None:
+    """Give the meshes of levels copies of the `materials` of their slots, so that a cross-fade leaves those of the source as they are."""
     copies = [None if material is None else _copy_material(material) for material in materials]
-    objects = []
-    for number, level in enumerate(levels):
+    for level in levels:
         for material in copies:
             level.mesh.materials.append(material)
-        item = bpy.data.objects.new(f"{source.name} L{number}", level.mesh)
-        item.matrix_world = mathutils.Matrix(find_frame(np.array(source.matrix_world)).tolist())
+
+
+def add_level_set(
+    source: bpy.types.Object,
+    levels: Sequence[NewLevel],
+    collection: bpy.types.Collection,
+    placement: Placement | None = None,
+) -> LevelSet:
+    """Add an object per level to a new `collection`: at the position of the source, or at that of its instance. Sets may share meshes."""
+    placement = placement or Placement(source.name, source.session_uid)
+    objects = []
+    for number, level in enumerate(levels):
+        item = bpy.data.objects.new(f"{placement.label} L{number}", level.mesh)
+        if placement.matrix is None:
+            _place(item, source)
+        else:
+            item.matrix_world = mathutils.Matrix(placement.matrix.tolist())
         item[KIND], item[NUMBER], item[ERROR] = LEVEL, number, float(level.error)
-        item[SWITCH_DISTANCE], item[TRIANGLES] = float(level.switch_distance), len(level.mesh.polygons)
+        item[SWITCH_DISTANCE], item[TRIANGLES] = float(level.switch_distance), len(level.mesh.loops) - 2 * len(level.mesh.polygons)
         item[SURFACE_DISTANCE] = float(level.surface_distance)
         copy_render_properties(source, item)
         collection.objects.link(item)
         objects.append(item)
     store_sources(collection, [source])
+    collection[PART] = placement.part
     return LevelSet(collection, objects)
 
 
+def add_collections(source: bpy.types.Object, scene: bpy.types.Scene, labels: Sequence[str]) -> list[bpy.types.Collection]:
+    """Return new collections for levels of a source, next to it; several are in one for all of them."""
+    parent = _parent_collection(source, scene)
+    if len(labels) > 1:
+        group = bpy.data.collections.new(f"{source.name} Levels")
+        group[KIND] = LEVEL
+        parent.children.link(group)
+        parent = group
+    collections = [bpy.data.collections.new(f"{label} Levels") for label in labels]
+    for collection in collections:
+        parent.children.link(collection)
+    return collections
+
+
+def _place(item: bpy.types.Object, source: bpy.types.Object) -> None:
+    """Put the object of a level where its source is, and let armatures move and deform it like that."""
+    follow_rig(item, source)
+    matrix = np.array(source.matrix_world)
+    frame = find_frame(matrix)
+    if moves_with_armature(source) and np.array_equal(frame, matrix):
+        follow_parent(item, source)
+    else:
+        item.matrix_world = mathutils.Matrix(frame.tolist())
+
+
 def remove_level_set(levels: LevelSet) -> None:
-    """Remove the objects, meshes and materials of levels that nothing else uses, and their collection if it is empty then."""
+    """Remove the objects, meshes, materials and images of levels that nothing else uses, and their collection if it is empty then."""
     restore([levels.source])
     data = list(dict.fromkeys(level.data for level in levels.levels))
     materials = list(dict.fromkeys(material for mesh in data for material in mesh.materials if material is not None))
+    images = [image for image in find_images(materials) if image.get(KIND) == IMAGE]
     bpy.data.batch_remove(levels.levels)
     bpy.data.batch_remove([mesh for mesh in data if mesh.users == 0])
     bpy.data.batch_remove([material for material in materials if material.users == 0])
-    if not levels.collection.objects and not levels.collection.children:
-        bpy.data.collections.remove(levels.collection)
+    bpy.data.batch_remove([image for image in images if image.users == 0])
+    groups = [item for item in bpy.data.collections if item.get(KIND) == LEVEL and levels.collection.name in item.children]
+    for collection in (levels.collection, *groups):
+        if not collection.objects and not collection.children:
+            bpy.data.collections.remove(collection)
+
+
+def find_images(materials: Sequence[bpy.types.Material]) -> list[bpy.types.Image]:
+    """Return the images in the nodes of `materials`, each once."""
+    nodes = (node for material in materials if material.node_tree is not None for node in material.node_tree.nodes)
+    return list(dict.fromkeys(node.image for node in nodes if node.type == "TEX_IMAGE" and node.image is not None))
+
+
+def _find_sharing(level: bpy.types.Object) -> list[bpy.types.Object]:
+    """Return the other objects with the mesh of a level."""
+    if level.data.users < 2:
+        return []
+    return [item for item in bpy.data.objects if item.data == level.data and item != level]
 
 
 def _parent_collection(source: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Collection:

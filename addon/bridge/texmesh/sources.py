@@ -1,7 +1,7 @@
 """Objects with a texture as textured meshes, with everything that their levels carry."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
@@ -13,9 +13,10 @@ from ...core.geometry.transforms import signed_areas
 from ...core.messages import format_count, quote_names
 from ...core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 from ..geometry.evaluated_mesh import EvaluatedMesh
-from ..geometry.joined_meshes import read_joined_mesh
+from ..geometry.joined_meshes import find_frame, read_joined_mesh
 from ..geometry.meshes import find_material
 from .color_images import find_color_images, read_color_image
+from .rigs import Rig, at_rest, describe_frozen, has_rig, read_rig
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class TexturedSource:
         attributes: names and widths of those of the mesh, in their order: normals of smooth faces, and color attributes at corners.
         textures: (H, W, 3) float32 scene-linear by material, None where there is none.
         remarks: sentences about what was read in another way than a user may expect.
+        rig: what deforms the mesh, which is at rest; None for a mesh with its current shape.
     """
 
     name: str
@@ -42,6 +44,7 @@ class TexturedSource:
     attributes: tuple[tuple[str, int], ...]
     textures: tuple[np.ndarray | None, ...]
     remarks: tuple[str, ...]
+    rig: Rig | None = None
 
 
 NORMALS = "custom_normal"  # the attribute with the normals of smooth faces
@@ -63,27 +66,55 @@ def read_textured_source(
         FileError: an image is missing.
     """
     evaluated, mesh_count = read_joined_mesh(item, depsgraph)
-    uv_map, textures, remarks = _read_textures(item, evaluated, read_image)
+    source = build_textured_source(item, evaluated, item.name, has_attributes, read_image)
+    remark = f'The levels of "{item.name}" are one mesh, joined from {mesh_count:,} instances.'
+    return replace(source, remarks=(remark, *source.remarks)) if mesh_count > 1 else source
+
+
+def build_textured_source(
+    item: bpy.types.Object,
+    evaluated: EvaluatedMesh,
+    name: str,
+    has_attributes: bool = True,
+    read_image: Callable[[bpy.types.Image], tuple[np.ndarray, bool]] = read_color_image,
+) -> TexturedSource:
+    """Return a mesh that `item` shows as a source with a name. Raises the errors of `read_textured_source`."""
+    uv_map, textures, remarks = _read_textures(name, evaluated, read_image)
     count = len(evaluated.triangles)
     corner_uvs = evaluated.at_corners(uv_map, np.arange(count)) if uv_map else np.zeros((count, 3, 2), np.float32)
     values, attributes = _read_corner_values(evaluated) if has_attributes else (None, ())
     origin = find_local_origin(evaluated.vertices)
     origin = np.zeros(3) if origin is None else origin
     mesh = TriangleMesh(evaluated.vertices - origin, evaluated.triangles, evaluated.material_indices)
-    textured = build_textured_mesh(mesh, corner_uvs, values, item.name, (NORMALS, 3) in attributes)
+    textured = build_textured_mesh(mesh, corner_uvs, values, name, (NORMALS, 3) in attributes)
     remarks = [
         *remarks,
-        *([f'The levels of "{item.name}" are one mesh, joined from {mesh_count:,} instances.'] if mesh_count > 1 else []),
-        *filter(None, [describe_coarseness(evaluated.vertices, f'"{item.name}"', "it")]),
-        *_describe_evaluation(item),
-        *_describe_edges(item.name, textured),
-        *_describe_uvs(item.name, textured, bool(uv_map)),
+        *filter(None, [describe_coarseness(evaluated.vertices, f'"{name}"', "it")]),
+        *_describe_edges(name, textured),
+        *_describe_uvs(name, textured, bool(uv_map)),
     ]
-    return TexturedSource(item.name, item.session_uid, textured, origin, evaluated, uv_map, attributes, textures, tuple(remarks))
+    return TexturedSource(name, item.session_uid, textured, origin, evaluated, uv_map, attributes, textures, tuple(remarks))
+
+
+def read_source_at_rest(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> TexturedSource:
+    """Read an object as `read_textured_source` does, but without the deformation by its armatures and shape keys, and with its rig. Objects
+    that make instances, and those whose shape keys change the number of vertices, have their current shape and no rig."""
+    if has_rig(item):
+        with at_rest(item, depsgraph):
+            source = read_textured_source(item, depsgraph)
+            evaluated = item.evaluated_get(depsgraph)
+            if len(evaluated.data.vertices) == len(source.evaluated.vertices):
+                matrix = np.array(evaluated.matrix_world)
+                to_object = np.linalg.solve(find_frame(matrix), matrix)[:3, :3]
+                rig = read_rig(item, depsgraph, to_object)
+                if rig is not None:
+                    return replace(source, rig=rig, remarks=(*source.remarks, *describe_frozen(item, rig)))
+    source = read_textured_source(item, depsgraph)
+    return replace(source, remarks=(*source.remarks, *describe_frozen(item)))
 
 
 def _read_textures(
-    item: bpy.types.Object, mesh: EvaluatedMesh, read_image: Callable[[bpy.types.Image], tuple[np.ndarray, bool]]
+    owner: str, mesh: EvaluatedMesh, read_image: Callable[[bpy.types.Image], tuple[np.ndarray, bool]]
 ) -> tuple[str, tuple[np.ndarray | None, ...], list[str]]:
     """Return the UV map of the textures, the texture of each material, and remarks."""
     all_found = [find_color_images(None if key is None else find_material(key)) for key in mesh.materials]
@@ -93,7 +124,7 @@ def _read_textures(
     uv_map = uv_maps[0] if uv_maps else mesh.uv_map
     remarks, textures, read = [], [], {}
     if len(uv_maps) > 1:
-        remarks.append(f'The images of "{item.name}" use several UV maps; only "{uv_map}" counts, the others are carried.')
+        remarks.append(f'The images of "{owner}" use several UV maps; only "{uv_map}" counts, the others are carried.')
     for image, name in found:
         if image is None or (name or mesh.uv_map) != uv_map:
             textures.append(None)
@@ -107,10 +138,10 @@ def _read_textures(
                 remarks.append(f'The image "{image.name}" is analyzed at {width} by {height} pixels.')
         textures.append(read[image.name])
     if not read:
-        remarks.append(f'"{item.name}" has no image texture; only its geometry counts.')
+        remarks.append(f'"{owner}" has no image texture; only its geometry counts.')
     mixed = [images[0][0].name for images in all_found if len(images) > 1]
     if mixed:
-        remarks.append(f'Materials of "{item.name}" mix images; only {quote_names(dict.fromkeys(mixed))} counts, bake them to count all.')
+        remarks.append(f'Materials of "{owner}" mix images; only {quote_names(dict.fromkeys(mixed))} counts, bake them to count all.')
     return uv_map, tuple(textures), remarks
 
 
@@ -136,14 +167,6 @@ def _find_flat(mesh: EvaluatedMesh) -> np.ndarray:
     _, directions = face_areas_and_normals(mesh.vertices[mesh.triangles].astype(np.float64))
     cosines = np.einsum("tci,ti->tc", normals, directions)
     return (np.ptp(normals, axis=1).max(axis=1) == 0.0) & (cosines.min(axis=1) > 0.99)
-
-
-def _describe_evaluation(item: bpy.types.Object) -> list[str]:
-    """Return a sentence if an object is deformed in a way that its levels do not follow."""
-    has_armature = any(modifier.type == "ARMATURE" and modifier.show_viewport for modifier in item.modifiers)
-    has_keys = item.type == "MESH" and item.data.shape_keys is not None
-    reasons = [text for text, is_there in (("its armature", has_armature), ("its shape keys", has_keys)) if is_there]
-    return [f'The levels of "{item.name}" have its current shape; they do not follow {" and ".join(reasons)}.'] if reasons else []
 
 
 def _describe_edges(name: str, mesh: TexturedMesh) -> list[str]:

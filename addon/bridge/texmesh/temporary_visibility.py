@@ -8,10 +8,9 @@ from collections.abc import Iterable, Sequence
 import bpy
 
 from ..geometry.mesh_pool import is_local
-from ..lod_crossfade import CROSSFADE, MAX_PIXEL
+from ..lod_crossfade import ALWAYS, CROSSFADE
 
 STATE = "farfield_texmesh_shown"  # whether the object was hidden in viewports, followed by its cross-fade if it has one
-ALWAYS = (-1.0, MAX_PIXEL)  # pixel sizes of a cross-fade that always shows; 0 as start would need an active camera
 
 
 def show_temporarily(levels: Sequence[bpy.types.Object], number: int, source: bpy.types.Object | None) -> None:

@@ -1,6 +1,7 @@
 """Binary glTF 2.0 files (.glb), read and written as their document with arrays and images in place of references to the binary chunk.
 
-In such a document, `attributes` and `indices` of primitives are arrays, and images have their file as `content`.
+In such a document, `attributes`, `targets` and `indices` of primitives and `inverseBindMatrices` of skins are arrays, and images have their
+file as `content`.
 """
 
 import json
@@ -22,13 +23,14 @@ MAX_FILE_BYTES = 2**32 - 1  # lengths in the header are uint32
 MAX_SHORT_VERTICES = 65535  # uint16 indices: 65535 itself is reserved
 COMPONENTS = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}  # NumPy type: glTF componentType
 DTYPES = {component: np.dtype(f"<{name}") for name, component in COMPONENTS.items()}
-TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
+TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 WIDTHS = {name: width for width, name in TYPES.items()}
 VERTEX_BUFFER, INDEX_BUFFER = 34962, 34963
 Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # from Blender's axes, z upwards, to those of glTF
 GENERATOR = "Farfield"
 ASSET = {"version": "2.0", "generator": GENERATOR}
 MAX_ASSET_BYTES = 256  # The document begins with the name of the program that wrote it.
+JOINTS, WEIGHTS = "JOINTS_", "WEIGHTS_"  # beginnings of names of attributes
 IMAGE_TYPES = {PNG_SIGNATURE: "image/png", b"\xff\xd8\xff": "image/jpeg", b"RIFF": "image/webp"}  # first bytes of the content
 WEBP = "EXT_texture_webp"
 Document = dict[str, Any]
@@ -98,15 +100,25 @@ class _Buffer:
             self.plain_length += rows.size + -rows.size % 4
 
     def add_primitive(self, part: Document) -> Document:
-        """Append the arrays of a primitive, and return it with their accessors: integers of attributes are fractions of the largest."""
-        indices, arrays = part["indices"], part["attributes"]
+        """Append the arrays of a primitive, and return it with their accessors: integers of attributes are fractions of the largest, or
+        joints."""
+        indices, arrays, targets = part["indices"], part["attributes"], part.get("targets", [])
         if self.is_compressed:
-            indices, arrays = reorder(indices, arrays)
-        attributes = {name: self.add_attribute(name, values) for name, values in arrays.items()}
+            columns = {(number, name): values for number, group in enumerate([arrays, *targets]) for name, values in group.items()}
+            indices, columns = reorder(indices, columns)
+            arrays, *targets = (
+                {name: values for (owner, name), values in columns.items() if owner == number} for number in range(1 + len(targets))
+            )
+        attributes = self.add_attributes(arrays)
+        moved = {"targets": [self.add_attributes(target) for target in targets]} if targets else {}
         count = len(arrays["POSITION"])
         indices = indices.reshape(-1, 1).astype("<u2" if count <= MAX_SHORT_VERTICES else "<u4")
         place = self.add_array(indices.view(np.uint8), {"target": INDEX_BUFFER})
-        return {**part, "attributes": attributes, "indices": self.add_accessor(place, indices, {})}
+        return {**part, **moved, "attributes": attributes, "indices": self.add_accessor(place, indices, {})}
+
+    def add_attributes(self, arrays: Document) -> Document:
+        """Append the arrays of vertices by name, and return their accessors."""
+        return {name: self.add_attribute(name, values) for name, values in arrays.items()}
 
     def add_attribute(self, name: str, values: np.ndarray) -> int:
         """Append an accessor for `values` (V, C) and return its index. Vertices are padded to four bytes."""
@@ -118,9 +130,14 @@ class _Buffer:
         rows[:, :row] = values.view(np.uint8).reshape(len(values), row)
         is_normal = name == "NORMAL" and values.dtype == np.int8
         place = self.add_array(rows, {"byteStride": stride, "target": VERTEX_BUFFER}, is_normal)
-        properties: Document = {} if is_float else {"normalized": True}
+        properties: Document = {} if is_float or name.startswith(JOINTS) else {"normalized": True}
         properties |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()} if name == "POSITION" else {}
         return self.add_accessor(place, values, properties)
+
+    def add_skin(self, skin: Document) -> Document:
+        """Append the matrices (J, 16) of a skin, and return it with their accessor."""
+        matrices = np.ascontiguousarray(skin["inverseBindMatrices"], "<f4")
+        return {**skin, "inverseBindMatrices": self.add_accessor((self.add_view(matrices.tobytes(), {}), 0), matrices, {})}
 
     def add_accessor(self, place: tuple[int, int], values: np.ndarray, properties: Document) -> int:
         """Append an accessor for what a view holds from a byte on, and return its index."""
@@ -142,12 +159,13 @@ def save_glb(document: Document, is_compressed: bool = False) -> bytes:
     """
     buffer = _Buffer(is_compressed)
     meshes = [{**mesh, "primitives": [buffer.add_primitive(part) for part in mesh["primitives"]]} for mesh in document["meshes"]]
+    skins = [buffer.add_skin(skin) for skin in document.get("skins", ())]
     buffer.finish()
     images = [{**image, "bufferView": buffer.add_view(image["content"], {})} for image in document.get("images", ())]
     for image in images:
         image["mimeType"] = find_image_type(image.pop("content"))
     result = {"asset": ASSET, "scene": 0, **{key: value for key, value in document.items() if value}, "meshes": meshes}
-    result |= {"images": images} if images else {}
+    result |= ({"images": images} if images else {}) | ({"skins": skins} if skins else {})
     _mark_webp(result)
     _require(result, [EXTENSION] if buffer.plain_length else [])
     result |= {"accessors": buffer.accessors, "bufferViews": buffer.views, "buffers": buffer.describe()}
@@ -188,10 +206,13 @@ def load_glb(content: bytes) -> Document:
     length = struct.unpack_from("<I", content, 12)[0]
     document, binary = json.loads(content[20 : 20 + length]), memoryview(content)[28 + length :]
     for part in (part for mesh in document["meshes"] for part in mesh["primitives"]):
-        part["attributes"] = {name: _read_accessor(document, binary, index) for name, index in part["attributes"].items()}
+        for arrays in (part["attributes"], *part.get("targets", ())):
+            arrays |= {name: _read_accessor(document, binary, index) for name, index in arrays.items()}
         part["indices"] = _read_accessor(document, binary, part["indices"]).ravel().astype(np.int64)
     for texture in document.get("textures", ()):
         texture |= texture.get("extensions", {}).get(WEBP, {})
+    for skin in document.get("skins", ()):
+        skin["inverseBindMatrices"] = _read_accessor(document, binary, skin["inverseBindMatrices"])
     for image in document.get("images", ()):
         view = document["bufferViews"][image.pop("bufferView")]
         image["content"] = bytes(binary[view.get("byteOffset", 0) :][: view["byteLength"]])

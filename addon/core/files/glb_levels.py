@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import GeometryError
-from .glb import Document
+from .glb import JOINTS, WEIGHTS, Document
 
 QUANTIZATION, LEVELS, SCREEN_COVERAGE = "KHR_mesh_quantization", "MSFT_lod", "MSFT_screencoverage"
 TEXTURE_TRANSFORM, UNLIT, MATERIALS = "KHR_texture_transform", "KHR_materials_unlit", "KHR_materials_"
@@ -84,32 +84,35 @@ def arrange_levels(
     precision: Precision | None,
     names: Mapping[str, str],
     unlit: Collection[str] = (),
+    joint_names: Mapping[str, str] | None = None,
 ) -> Document:
-    """Return a document with the meshes, materials and images of an exporter in other nodes. The input is changed.
+    """Return a document with the meshes, skins, materials and images of an exporter in other nodes. The input is changed.
 
     precision: store positions in up to 16 bits with the transform of the node, texture coordinates in up to 16 bits, normals in 8 bits and
-    colors in 16 bits, where they are within 0..1. Texture coordinates that leave 0..1 or have less bits are scaled by the material
+    colors in 16 bits, where they are within 0..1. Positions of meshes with a skin, whose nodes have no transform, and of those with morph
+    targets remain single precision. Texture coordinates that leave 0..1 or have less bits are scaled by the material
     (KHR_texture_transform); without a texture they have 16 bits, or single precision outside of 0..1. None to quantize nothing. names: of
-    materials, by those in `document`. unlit: materials of `document` that are shown without light.
+    materials, by those in `document`. unlit: materials of `document` that are shown without light. joint_names: of nodes of skeletons, by
+    those in `document`.
 
     Raises:
         GeometryError: a mesh has no triangles, or coordinates that are not finite.
     """
     _merge(document, names, unlit)
-    sources = {node["name"]: node["mesh"] for node in document["nodes"] if "mesh" in node}
+    sources = {node["name"]: (node["mesh"], node.get("skin")) for node in document["nodes"] if "mesh" in node}
     meshes, grids, written = {}, {}, []
     for node in nodes:
         if node.source not in sources:
             raise GeometryError(f'"{node.name}" has no triangles to write; choose an object with a surface.')
-        source = sources[node.source]
+        source, skin = sources[node.source]
         meshes.setdefault(source, {**document["meshes"][source], "name": node.name})
-        if precision is not None:
-            grids.setdefault(source, node.grid(precision))
-        written.append(_write_node(node, list(meshes).index(source), precision))
+        is_deformed = skin is not None or any("targets" in part for part in meshes[source]["primitives"])
+        grids.setdefault(source, None if precision is None or is_deformed else node.grid(precision))
+        written.append(_write_node(node, list(meshes).index(source), grids[source], skin))
     uv_grids = {} if precision is None else _find_uv_grids(document, precision.uv)
     for source, mesh in meshes.items():
         for part in mesh["primitives"]:
-            _write_primitive(part, mesh["name"], grids.get(source), uv_grids)
+            _write_primitive(part, mesh["name"], precision is not None, grids[source], uv_grids)
     for (material, uv_map), grid in uv_grids.items():
         for _, texture in list_textures(document["materials"][material]):
             if find_uv_map(texture) == uv_map:
@@ -118,9 +121,11 @@ def arrange_levels(
     levels = {index for node in nodes for index in node.levels}
     added = {QUANTIZATION: precision is not None, TEXTURE_TRANSFORM: bool(uv_grids)}
     kept = {key: document[key] for key in ("materials", "textures", "images", "samplers") if key in document}
-    scenes = [{"nodes": [index for index in range(len(nodes)) if index not in levels]}]
+    bones, roots, skins = _move_skeletons(document, len(nodes), joint_names or {})
+    scenes = [{"nodes": [*(index for index in range(len(nodes)) if index not in levels), *roots]}]
     extensions = _list_extensions(document, {name for name, is_needed in added.items() if is_needed}, bool(levels))
-    return {**extensions, "scenes": scenes, "nodes": written, "meshes": _merge_meshes(list(meshes.values()), written), **kept}
+    kept |= {"meshes": _merge_meshes(list(meshes.values()), written), "skins": skins}
+    return {**extensions, "scenes": scenes, "nodes": [*written, *bones], **kept}
 
 
 def _merge_meshes(meshes: Sequence[Document], nodes: Sequence[Document]) -> list[Document]:
@@ -136,11 +141,35 @@ def _merge_meshes(meshes: Sequence[Document], nodes: Sequence[Document]) -> list
 
 def _identify(mesh: Document) -> tuple:
     """Return what meshes have in common that are equal but for their names."""
-    parts = []
+    parts = [json.dumps({key: value for key, value in mesh.items() if key not in ("name", "primitives")}, sort_keys=True)]
     for part in mesh["primitives"]:
-        arrays = {**part["attributes"], "indices": part["indices"]}
-        parts.append((part.get("material"), *((name, values.dtype.str, values.tobytes()) for name, values in arrays.items())))
+        arrays = [{**part["attributes"], "indices": part["indices"]}, *part.get("targets", ())]
+        values = (tuple((name, item.dtype.str, item.tobytes()) for name, item in group.items()) for group in arrays)
+        parts.append((part.get("material"), *values))
     return tuple(parts)
+
+
+def _move_skeletons(document: Document, start: int, names: Mapping[str, str]) -> tuple[list[Document], list[int], list[Document]]:
+    """Return the joints of the skins of a document and the nodes above them that `names` has, which are the nodes from `start` on, the
+    indices of those without a node above them, and the skins."""
+    nodes, skins = document["nodes"], document.get("skins", ())
+    parents = {child: index for index, node in enumerate(nodes) for child in node.get("children", ())}
+    kept = {joint for skin in skins for joint in skin["joints"]}
+    for joint in list(kept):
+        while joint in parents:
+            joint = parents[joint]
+            kept |= {joint} if nodes[joint].get("name") in names else set()
+    indices = {index: start + number for number, index in enumerate(sorted(kept))}
+    moved = []
+    for index in indices:
+        children = [indices[child] for child in nodes[index].get("children", ()) if child in indices]
+        others = {key: value for key, value in nodes[index].items() if key not in ("children", "mesh", "skin")}
+        moved.append({**others, "name": names.get(others["name"], others["name"]), **({"children": children} if children else {})})
+    renamed = [{**skin, "joints": [indices[joint] for joint in skin["joints"]]} for skin in skins]
+    for skin in renamed:
+        skin |= {"name": names.get(skin["name"], skin["name"])} if "name" in skin else {}
+        skin |= {"skeleton": indices[skin["skeleton"]]} if "skeleton" in skin else {}
+    return moved, [indices[index] for index in indices if parents.get(index) not in indices], renamed
 
 
 def _list_extensions(document: Document, added: Collection[str], has_levels: bool) -> dict[str, list[str]]:
@@ -232,25 +261,34 @@ def _move_placement(placement: Mapping[str, Any], grid: _Grid) -> dict[str, list
     return {"offset": offset.tolist(), "scale": (scale * grid.stored_scale(UNSIGNED_SHORT)).tolist()}
 
 
-def _write_primitive(part: Document, name: str, grid: _Grid | None, uv_grids: Mapping[tuple[int, int], _Grid]) -> None:
-    """Quantize the attributes of a primitive if there is a `grid` for its positions, and let equal vertices be one."""
+def _write_primitive(part: Document, name: str, is_quantized: bool, grid: _Grid | None, uv_grids: Mapping[tuple[int, int], _Grid]) -> None:
+    """Quantize the attributes of a primitive if it `is_quantized`, positions if they have a `grid`, and let equal vertices be one."""
     part["attributes"].pop("TANGENT", None)  # readers compute the same
-    attributes = {key: np.asarray(values, np.float32) for key, values in part["attributes"].items()}
+    for target in part.get("targets", ()):
+        target.pop("TANGENT", None)
+    attributes = {
+        key: np.asarray(values, values.dtype if key.startswith(JOINTS) else np.float32) for key, values in part["attributes"].items()
+    }
     if not all(np.isfinite(values).all() for values in attributes.values()):
         raise GeometryError(f'"{name}" has coordinates or colors that are not finite; repair its mesh.')
-    for key, values in part["attributes"].items() if grid is not None else ():
+    for key, values in part["attributes"].items() if is_quantized else ():
         uv_map = int(key.removeprefix("TEXCOORD_")) if key.startswith("TEXCOORD_") else -1
-        attributes[key] = _quantize(key, values, grid, uv_grids.get((part.get("material", -1), uv_map)))
-    rows = np.concatenate([np.ascontiguousarray(values).view(np.uint8).reshape(len(values), -1) for values in attributes.values()], axis=1)
+        if not key.startswith((JOINTS, WEIGHTS)) and (key != "POSITION" or grid is not None):
+            attributes[key] = _quantize(key, values, grid, uv_grids.get((part.get("material", -1), uv_map)))
+    targets = [{key: np.asarray(values, np.float32) for key, values in target.items()} for target in part.get("targets", ())]
+    columns = [*attributes.values(), *(values for target in targets for values in target.values())]
+    rows = np.concatenate([np.ascontiguousarray(values).view(np.uint8).reshape(len(values), -1) for values in columns], axis=1)
     _, first, inverse = np.unique(rows.view(f"V{rows.shape[1]}").ravel(), return_index=True, return_inverse=True)
     kept, places = np.unique(first, return_inverse=True)
     part["attributes"] = {key: values[kept] for key, values in attributes.items()}
+    if targets:
+        part["targets"] = [{key: values[kept] for key, values in target.items()} for target in targets]
     part["indices"] = places[inverse.ravel()][part["indices"]]
 
 
-def _quantize(name: str, values: np.ndarray, grid: _Grid, uv_grid: _Grid | None) -> np.ndarray:
-    """Return stored values of a vertex attribute: integers as fractions of the largest, or floats outside of 0..1."""
-    if name == "POSITION":
+def _quantize(name: str, values: np.ndarray, grid: _Grid | None, uv_grid: _Grid | None) -> np.ndarray:
+    """Return stored values of a vertex attribute: integers as fractions of the largest, or floats outside of 0..1. grid: of positions."""
+    if grid is not None and name == "POSITION":
         return np.rint(grid.largest * np.clip((values - grid.offset) / grid.scale, -1.0, 1.0)).astype(np.int16)
     if name == "NORMAL":
         return np.rint(127.0 * values).astype(np.int8)
@@ -260,13 +298,13 @@ def _quantize(name: str, values: np.ndarray, grid: _Grid, uv_grid: _Grid | None)
     return np.rint(UNSIGNED_SHORT * values.astype(np.float64)).astype(np.uint16) if is_fraction else values.astype(np.float32)
 
 
-def _write_node(node: LevelNode, mesh: int, precision: Precision | None) -> Document:
+def _write_node(node: LevelNode, mesh: int, grid: _Grid | None, skin: int | None) -> Document:
     matrix = np.array(node.matrix, np.float64)
-    if precision is not None:
-        grid = node.grid(precision)
+    if grid is not None:
         matrix[:3, 3] += matrix[:3, :3] @ grid.offset
         matrix[:3, :3] *= grid.stored_scale(SHORT)
-    result: Document = {"name": node.name, "mesh": mesh, "matrix": matrix.T.ravel().tolist()}  # column by column
+    place: Document = {"matrix": matrix.T.ravel().tolist()} if skin is None else {"skin": skin}  # column by column
+    result: Document = {"name": node.name, "mesh": mesh, **place}
     if node.levels:
         result |= {"extensions": {LEVELS: {"ids": list(node.levels)}}, "extras": {SCREEN_COVERAGE: list(node.coverages)}}
     return result

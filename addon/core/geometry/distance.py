@@ -144,23 +144,34 @@ def plane_barycentric(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     return coordinates
 
 
-def one_sided_hausdorff(corners: np.ndarray, target: np.ndarray | TriangleTree, tolerance: float, minimum: float = 0.0) -> float:
+def one_sided_hausdorff(corners: np.ndarray, target: np.ndarray, tolerance: float, minimum: float = 0.0) -> float:
     """Return the largest distance of any point of triangles (T, 3, 3) to the triangles `target` (K, 3, 3), at most `tolerance` too large.
 
+    With too many pieces, see `bound_hausdorff`, the result is still an upper bound, but a looser one. Distances below `minimum` are not
+    resolved, and the result is at least `minimum`.
+    """
+    return bound_hausdorff(corners, TriangleTree(target), tolerance, minimum)[1]
+
+
+def bound_hausdorff(
+    corners: np.ndarray, target: TriangleTree, tolerance: float, minimum: float = 0.0, max_pieces: int = MAX_PIECES
+) -> tuple[float, float]:
+    """Return bounds of the largest distance of any point of triangles (T, 3, 3) to those of `target`: one that a point has or `minimum` if
+    that is more, and one that none exceeds.
+
     The distance to one triangle is convex, so over a whole face it is largest at a corner: this bounds a face from above, and its corners
-    bound it from below. Faces whose bounds differ are subdivided until they agree, or until there are too many pieces: then the result is
-    still an upper bound, but a looser one. Distances below `minimum` are not resolved, and the result is at least `minimum`.
+    bound it from below. Faces whose bounds differ are subdivided until they agree up to `tolerance`, or until there would be more than
+    `max_pieces`.
     """
     largest, pieces = minimum, corners
-    tree = target if isinstance(target, TriangleTree) else TriangleTree(target)
     while True:
-        lower, upper = _distance_bounds(pieces, tree, largest + tolerance)
+        lower, upper = _distance_bounds(pieces, target, largest + tolerance)
         largest = max(largest, float(lower.max()))
         is_open = upper > largest + tolerance
         if not is_open.any():
-            return largest + tolerance
-        if 4 * is_open.sum() > MAX_PIECES:
-            return float(upper.max())
+            return largest, largest + tolerance
+        if 4 * is_open.sum() > max_pieces:
+            return largest, float(upper.max())
         pieces = _subdivide(pieces[is_open])
 
 

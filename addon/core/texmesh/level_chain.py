@@ -139,7 +139,7 @@ def _keep(
     kept = [original]
     for item in others:
         yield Progress(0.9, "Measuring levels")
-        kept.append(replace(item, distance=comparison.measure(item.mesh).distance))
+        kept.append(replace(item, distance=comparison.bound_distance(item.mesh)))
     return kept, [compared.images[index] for index in chosen]
 
 
@@ -166,8 +166,8 @@ def _optimize(
         if len(level.triangles) <= MAX_RENDERED:
             surfaces = view_levels([original, *choices], mipmaps, settings)
             differences = _measure_differences(open_images(surfaces, settings, compared.images), settings)
-        best, deviations = comparison.choose([choice.mesh for choice in choices], differences)
-        kept.append(replace(choices[best], distance=deviations.distance, is_moved=best == 0))
+        best = comparison.choose([choice.mesh for choice in choices], differences)
+        kept.append(replace(choices[best], distance=comparison.bound_distance(choices[best].mesh), is_moved=best == 0))
     return kept, open_images(view_levels(kept, mipmaps, settings), settings, compared.images)
 
 

@@ -205,6 +205,10 @@ class SceneSettings(Settings):
         used_if={"cross_fade": True},
     )
     keep_original_visible: bool = setting(False, "Keep the original visible in addition to its levels", panel_label="Keep Original")
+    billboard_cloud: bool = setting(False, "Append a billboard cloud, a few quads with images of the original, as the last level")
+    cloud_quads: int = setting(
+        64, "Target number of quads of the billboard cloud", minimum=2, maximum=1000, used_if={"billboard_cloud": True}
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

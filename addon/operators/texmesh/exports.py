@@ -9,7 +9,7 @@ from ...bridge.texmesh.glb_levels import level_outputs, write_levels
 from ...core.errors import FileError
 from ...core.files.file_access import is_folder
 from ...core.files.outputs import Output
-from ...core.messages import join_sentences
+from ...core.messages import join_sentences, list_first
 from ...core.texmesh.settings import ExportSettings
 from .. import long_work, properties
 from ..error_reports import report_message, reports_errors
@@ -56,7 +56,7 @@ class FARFIELD_OT_texmesh_export(bpy.types.Operator):
         path = path.with_suffix(SUFFIX)
         check_scene_outputs([Output("the file", path)] if self.one_file else level_outputs(path))
         paths, sentences = write_levels(selected_level_sets(context), path, properties.read(ExportSettings, self))
-        report_message(self, join_sentences([f"Saved {', '.join(item.name for item in paths)}.", *sentences]))
+        report_message(self, join_sentences([f"Saved {list_first(item.name for item in paths)}.", *sentences]))
         return {"FINISHED"}
 
 

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import bpy
 import numpy as np
@@ -10,16 +10,29 @@ import numpy as np
 from ...bridge.geometry.meshes import find_material
 from ...bridge.objects import find_by_uid
 from ...bridge.texmesh.level_meshes import create_level_mesh
-from ...bridge.texmesh.level_sets import FIGURES, LevelSet, NewLevel, add_level_set, find_level_set, remove_level_set
+from ...bridge.texmesh.level_sets import (
+    FIGURES,
+    LevelSet,
+    NewLevel,
+    Placement,
+    add_collections,
+    add_level_set,
+    add_materials,
+    level_sets_in,
+    remove_level_set,
+)
+from ...bridge.texmesh.placed_sources import SharedSources
 from ...bridge.texmesh.scale_attributes import write_scale_map
 from ...bridge.texmesh.sources import TexturedSource
-from ...core.errors import GeometryError
+from ...core.billboards.cloud import Cloud
+from ...core.errors import GeometryError, SettingsError
 from ...core.jobs.progress import Progress, Steps, subprogress
-from ...core.messages import format_count, join_sentences
+from ...core.messages import format_count, join_sentences, list_first
 from ...core.texmesh.level_chain import LevelChain, make_levels
 from ...core.texmesh.scale_space.analysis import analyze_scale_space
 from ...core.texmesh.scale_space.features import ScaleMap
 from ...core.texmesh.settings import AnalysisSettings, SceneSettings, TexmeshSettings
+from .cloud_levels import CloudSource, read_cloud_sources
 from .sources import describe_small, read_sources
 
 MAX_LISTED = 3  # The levels of more objects are counted together in the result.
@@ -51,7 +64,7 @@ class AnalysisJob:
             GeometryError: an object was removed meanwhile; nothing was written.
         """
         yield Progress(0.0, "Writing attributes")
-        objects = [_find_source(source) for source in self.sources]
+        objects = [_find_object(source) for source in self.sources]
         sentences = []
         for item, source, scale_map in zip(objects, self.sources, core_result, strict=True):
             is_written = write_scale_map(item, source, scale_map)
@@ -73,7 +86,9 @@ class LevelsJob:
         scene_settings: what happens in the scene.
         scene_uid: the scene that gets the levels.
         skipped: names of other objects with the reason.
-        chains: the levels by the name of their collection.
+        placements: where each source is.
+        clouds: what billboard clouds are made of, per source, None without.
+        chains: the levels by the name of their collection, one per placement.
     """
 
     core_fraction = 0.95
@@ -83,83 +98,133 @@ class LevelsJob:
     scene_settings: SceneSettings
     scene_uid: int
     skipped: list[str]
+    placements: list[list[Placement]]
+    clouds: list[CloudSource | None]
     chains: dict[str, LevelChain] = field(default_factory=dict)
 
-    def core_steps(self) -> Steps[list[LevelChain]]:
-        """Make the levels of every mesh."""
+    @property
+    def placed(self) -> list[tuple[TexturedSource, Placement]]:
+        """Each source at each of its places, in the order of `chains`."""
+        pairs = zip(self.sources, self.placements, strict=True)
+        return [(source, placement) for source, placements in pairs for placement in placements]
+
+    def core_steps(self) -> Steps[list[tuple[LevelChain, Cloud | None]]]:
+        """Make the levels of every mesh, and its billboard cloud."""
         weights = np.array([len(source.mesh.triangles) for source in self.sources], float)
         starts = np.concatenate([[0.0], weights.cumsum() / weights.sum()])
         chains = []
         ranges = zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True)
-        for source, (start, stop) in zip(self.sources, ranges, strict=True):
-            chains.append((yield from subprogress(make_levels(source.mesh, source.textures, self.settings), start, stop)))
+        for index, (source, (start, stop)) in enumerate(zip(self.sources, ranges, strict=True)):
+            chain = yield from subprogress(make_levels(source.mesh, source.textures, self.settings), start, stop)
+            chains.append((chain, (yield from subprogress(self._build_cloud(index), stop, stop))))
         return chains
 
-    def scene_steps(self, core_result: list[LevelChain]) -> Steps[str]:
-        """Create the objects.
+    def _build_cloud(self, index: int) -> Steps[Cloud | None]:
+        """Return the billboard cloud of source `index`, None if it is not wanted or needs more quads."""
+        if self.clouds[index] is None:
+            return None
+        try:
+            return (yield from self.clouds[index].build())
+        except SettingsError as error:
+            self.clouds[index] = None
+            self.skipped.append(f"the billboard cloud ({str(error).removesuffix('.')})")
+            return None
+
+    def scene_steps(self, core_result: list[tuple[LevelChain, Cloud | None]]) -> Steps[str]:
+        """Render the images of billboard clouds, and create the objects.
 
         Raises:
             GeometryError: an object or the scene was removed meanwhile; nothing was created.
         """
-        yield Progress(0.0, "Creating objects")
+        images = []
+        for source, (_, cloud) in zip(self.clouds, core_result, strict=True):
+            images.append(None if source is None else (yield from subprogress(source.capture(cloud), 0.0, 0.9)))
+        yield Progress(0.9, "Creating objects")
         scene = find_by_uid(bpy.data.scenes, self.scene_uid)
         if scene is None:
             raise GeometryError("The scene was removed while levels were being made; make them again.")
-        objects = [_find_source(source) for source in self.sources]
+        objects = {placement.object_uid: _find_object(placement) for _, placement in self.placed}
         materials = [[None if key is None else find_material(key) for key in source.evaluated.materials] for source in self.sources]
         if bpy.context.mode != "OBJECT":
             bpy.ops.object.mode_set(mode="OBJECT")
+        collections = self._replace_collections(objects, scene)
         remarks = []
-        for index, chain in enumerate(core_result):
-            remarks += self._add(objects[index], index, chain, materials[index], scene)
-        counts = _count_triangles(self.sources, core_result, self.settings)
+        for index, (chain, cloud) in enumerate(core_result):
+            last = None if cloud is None else self.clouds[index].create_level(cloud, images[index], chain.levels[-1].pixel_size, scene)
+            remarks += self._add(objects, index, chain, materials[index], collections, last)
+        counts = _count_triangles(self.sources, self.placements, [chain for chain, _ in core_result], self.settings)
         return join_sentences([*counts, *remarks, *describe_skipped(self.skipped)])
+
+    def _replace_collections(self, objects: dict[int, bpy.types.Object], scene: bpy.types.Scene) -> dict[int, bpy.types.Collection]:
+        """Remove the levels that the objects had, and return a new collection for each placement, by its `id`."""
+        for levels in level_sets_in(scene):
+            if levels.source in objects.values() and levels.is_editable:
+                remove_level_set(levels)
+        found: dict[int, bpy.types.Collection] = {}
+        for uid, item in objects.items():
+            own = [placement for _, placement in self.placed if placement.object_uid == uid]
+            made = add_collections(item, scene, [placement.label for placement in own])
+            found |= {id(placement): collection for placement, collection in zip(own, made, strict=True)}
+        return found
 
     def _add(
         self,
-        item: bpy.types.Object,
+        objects: dict[int, bpy.types.Object],
         index: int,
         chain: LevelChain,
         materials: Sequence[bpy.types.Material | None],
-        scene: bpy.types.Scene,
+        collections: dict[int, bpy.types.Collection],
+        cloud: NewLevel | None,
     ) -> list[str]:
-        """Add the levels of the object made from source `index` in place of those made before, and return remarks about them."""
+        """Add the levels of source `index` and its billboard `cloud` at all its places, and return remarks about them."""
         source = self.sources[index]
-        earlier = find_level_set(scene, item)
-        if earlier is not None and earlier.is_editable:
-            remove_level_set(earlier)
         is_subset = self.settings.vertices == "original"
         new = [
             NewLevel(
-                create_level_mesh(f"{item.name} L{number}", source, level.mesh, chain.scale_map, is_subset),
+                create_level_mesh(f"{source.name} L{number}", objects[source.object_uid], source, level.mesh, chain.scale_map, is_subset),
                 level.pixel_size,
                 level.distance,
                 self._switch_distance(level.pixel_size),
             )
             for number, level in enumerate(chain.levels)
         ]
-        levels = add_level_set(item, scene, f"{item.name} Levels", new, materials)
-        levels.collection[FIGURES] = json.dumps(describe_chain(chain))
-        self.chains[levels.collection.name] = chain
-        _show(levels, scene, self.scene_settings)
-        return [chain.scale_map.losses, *source.remarks]
+        add_materials(new, materials)
+        if cloud is not None:
+            new.append(replace(cloud, switch_distance=self._switch_distance(cloud.error)))
+        scene = find_by_uid(bpy.data.scenes, self.scene_uid)
+        for placement in self.placements[index]:
+            levels = add_level_set(objects[placement.object_uid], new, collections[id(placement)], placement)
+            levels.collection[FIGURES] = json.dumps(describe_chain(chain))
+            self.chains[levels.collection.name] = chain
+            _show(levels, scene, self.scene_settings)
+        last = None if cloud is None else f'The last level of "{source.name}" is a billboard cloud of {len(cloud.mesh.polygons)} quads.'
+        return [last, chain.scale_map.losses, *source.remarks]
 
     def _switch_distance(self, pixel_size: float) -> float:
         """Return the distance, in units of the object, at which a pixel of the display has a size."""
         return pixel_size / np.tan(np.radians(1.0 / self.settings.pixels_per_degree))
 
 
-def _count_triangles(sources: Sequence[TexturedSource], chains: Sequence[LevelChain], settings: TexmeshSettings) -> list[str]:
-    """Return sentences about the triangles of the levels of each object, or, of more than `MAX_LISTED` objects, of all together."""
+def _count_triangles(
+    sources: Sequence[TexturedSource], placements: Sequence[Sequence[Placement]], chains: Sequence[LevelChain], settings: TexmeshSettings
+) -> list[str]:
+    """Return sentences about the triangles of the levels of each mesh, or, of more than `MAX_LISTED` meshes, of all places together."""
+    places = [len(found) for found in placements]
     if len(chains) > MAX_LISTED:
-        finest, coarsest = (sum(len(chain.levels[index].mesh.triangles) for chain in chains) for index in (0, -1))
+        finest, coarsest = (
+            sum(number * len(chain.levels[index].mesh.triangles) for number, chain in zip(places, chains, strict=True)) for index in (0, -1)
+        )
         stopped = sum(any(level.constraint for level in chain.levels) for chain in chains)
         why = f" {format_count(stopped, 'object')} could not get as few triangles as intended." if stopped else ""
-        return [f"{len(chains)} objects have levels, {finest:,} triangles in the finest and {coarsest:,} in the coarsest.{why}"]
+        which = (
+            f"{sum(places):,} objects and instances of {len(chains):,} meshes" if sum(places) > len(chains) else f"{len(chains)} objects"
+        )
+        return [f"{which} have levels, {finest:,} triangles in the finest and {coarsest:,} in the coarsest.{why}"]
     sentences = []
-    for source, chain in zip(sources, chains, strict=True):
+    for source, number, chain in zip(sources, places, chains, strict=True):
         counts = ", ".join(f"{len(level.mesh.triangles):,}" for level in chain.levels)
-        has_levels = f'"{source.name}" has {format_count(len(chain.levels), "level")} with {counts} triangles.'
+        where = f", shared by {number:,} objects or instances" if number > 1 else ""
+        has_levels = f'"{source.name}" has {format_count(len(chain.levels), "level")} with {counts} triangles{where}.'
         sentences += [describe_small(source, settings) or has_levels, *(level.constraint for level in chain.levels)]
         if settings.levels == "number" and len(chain.levels) < settings.number:
             sentences.append(f'"{source.name}" has fewer than {settings.number} levels, since there are no more with different triangles.')
@@ -203,8 +268,11 @@ def prepare_levels(
     context: bpy.types.Context, objects: Sequence[bpy.types.Object], settings: TexmeshSettings, scene_settings: SceneSettings
 ) -> LevelsJob:
     """Return the job that makes levels of `objects`. Raises FarfieldError if none can be read."""
-    sources, skipped = read_sources(context, objects)
-    return LevelsJob(sources, settings, scene_settings, context.scene.session_uid, skipped)
+    shared = SharedSources()
+    _, skipped = read_sources(context, objects, shared.read)
+    clouds, without = read_cloud_sources(context, shared.sources, shared.placements, scene_settings)
+    skipped += without
+    return LevelsJob(shared.sources, settings, scene_settings, context.scene.session_uid, skipped, shared.placements, clouds)
 
 
 def _show(levels: LevelSet, scene: bpy.types.Scene, settings: SceneSettings) -> None:
@@ -221,7 +289,7 @@ def _show(levels: LevelSet, scene: bpy.types.Scene, settings: SceneSettings) -> 
         first.select_set(True)
 
 
-def _find_source(source: TexturedSource) -> bpy.types.Object:
+def _find_object(source: TexturedSource | Placement) -> bpy.types.Object:
     item = find_by_uid(bpy.data.objects, source.object_uid)
     if item is None:
         raise GeometryError(f'"{source.name}" was removed while it was being worked on; nothing was changed.')
@@ -230,4 +298,4 @@ def _find_source(source: TexturedSource) -> bpy.types.Object:
 
 def describe_skipped(skipped: Sequence[str]) -> list[str]:
     """Return a sentence about the objects that were skipped, if there are any."""
-    return [f"Skipped: {'; '.join(skipped)}."] if skipped else []
+    return [f"Skipped: {list_first(skipped)}."] if skipped else []

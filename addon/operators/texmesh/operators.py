@@ -209,9 +209,11 @@ class FARFIELD_OT_texmesh_remove(LevelsOperator, bpy.types.Operator):
 
 
 def selected_level_sets(context: bpy.types.Context) -> list[LevelSet]:
-    """Return the level sets of the selected objects, or of the active one, each once."""
+    """Return the level sets of the selected objects, or of the active one, each once, with all those of the same objects."""
     wanted = {*context.selected_objects, context.active_object} - {None}
-    return [levels for levels in level_sets_in(context.scene) if wanted & {*levels.levels, levels.source}]
+    found = level_sets_in(context.scene)
+    wanted |= {levels.source for levels in found if wanted & set(levels.levels)} - {None}
+    return [levels for levels in found if wanted & {*levels.levels, levels.source}]
 
 
 def editable_level_sets(context: bpy.types.Context) -> list[LevelSet]:

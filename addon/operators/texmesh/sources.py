@@ -8,7 +8,7 @@ import bpy
 from ...bridge.geometry.meshes import describe_type, is_in_view_layer, may_have_surface
 from ...bridge.objects import temporarily_visible
 from ...bridge.texmesh.level_sets import find_level_set
-from ...bridge.texmesh.sources import read_textured_source
+from ...bridge.texmesh.sources import read_source_at_rest
 from ...core.errors import FarfieldError, GeometryError
 from ...core.messages import format_count
 from ...core.texmesh.level_candidates import MIN_TRIANGLES, min_triangles
@@ -50,7 +50,7 @@ def refusal(item: bpy.types.Object, view_layer: bpy.types.ViewLayer) -> str:
 def read_sources(
     context: bpy.types.Context,
     objects: Sequence[bpy.types.Object],
-    read: Callable[[bpy.types.Object, bpy.types.Depsgraph], Source] = read_textured_source,
+    read: Callable[[bpy.types.Object, bpy.types.Depsgraph], Source] = read_source_at_rest,
 ) -> tuple[list[Source], list[str]]:
     """Return what `read` returns of `objects`, and the names of the others with the reason.
 

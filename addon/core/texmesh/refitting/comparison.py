@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ...geometry.distance import TriangleTree, one_sided_hausdorff
+from ...geometry.distance import TriangleTree, bound_hausdorff
 from ...geometry.mesh import longest_side
 from ..textured_mesh import TexturedMesh
 from .correspondence import SurfaceSamples, sample_surface
@@ -19,21 +19,9 @@ SAMPLES = 20_000  # Points of the fine mesh.
 QUANTILE = 0.99  # Of the deviations of the texture, since points whose island a level lacks have none.
 MAX_RATIO = 1.25  # A level is preferred if its deviations are at most this multiple of those of the others.
 MAX_DIFFERENCE_RATIO, MIN_DIFFERENCE = 1.05, 1e-3  # The same for FLIP; differences far below the second number do not count.
+FEW_PIECES, MANY_PIECES = 4_000, 40_000  # into which triangles of a level are divided where they may be farthest, at once
 PRECISION = 0.05  # Of the largest distance, relative to that of the samples of the fine mesh.
 TOLERANCE = 1e-5  # Relative to the longest side of the mesh; smaller deviations do not count.
-
-
-@dataclass(frozen=True)
-class Deviations:
-    """How far a level is from its fine mesh.
-
-    Attributes:
-        distance: no point of the level is farther from the fine mesh, and none of many samples of the fine mesh is from the level.
-        texture: the distance of points with equal texture coordinates that one in a hundred exceeds.
-    """
-
-    distance: float
-    texture: float
 
 
 @dataclass(frozen=True)
@@ -50,22 +38,29 @@ class LevelComparison:
     def _tolerance(self) -> float:
         return TOLERANCE * longest_side(self.surface.mesh.vertices)
 
-    def choose(self, levels: Sequence[TexturedMesh], differences: np.ndarray | None = None) -> tuple[int, Deviations]:
+    def choose(self, levels: Sequence[TexturedMesh], differences: np.ndarray | None = None) -> int:
         """Return the index of the level whose deviations, and `differences` (N,) in renders, are small multiples of the least ones of all
-        N `levels`, and its deviations. The first one is preferred if none is larger than its limit."""
-        deviations = [self.measure(level) for level in levels]
-        values = np.array([[item.distance, item.texture] for item in deviations]) + self._tolerance
+        N `levels`. The first one is preferred if none is larger than its limit."""
+        values = np.array([self.measure(level) for level in levels]) + self._tolerance
         excess = values / values.min(axis=0) / MAX_RATIO
         if differences is not None:
             ratios = (differences + MIN_DIFFERENCE) / (differences.min() + MIN_DIFFERENCE)
             excess = np.column_stack([excess, ratios / MAX_DIFFERENCE_RATIO])
         worst = excess.max(axis=1)
-        best = 0 if worst[0] <= 1.0 else int(worst.argmin())
-        return best, deviations[best]
+        return 0 if worst[0] <= 1.0 else int(worst.argmin())
 
-    def measure(self, level: TexturedMesh) -> Deviations:
-        """Return how far `level` is from the fine mesh."""
+    def measure(self, level: TexturedMesh) -> tuple[float, float]:
+        """Return the largest distance that is found between the surfaces, from both sides, and the distance of points with equal texture
+        coordinates that one in a hundred exceeds."""
         state = self.surface.attach(level, self._samples, normal_weight=1.0)
         from_fine = float(TriangleTree(state.corners).find_closest(self._samples.positions)[0].max())
-        largest = one_sided_hausdorff(state.corners, self.surface.tree, max(PRECISION * from_fine, 0.1 * self._tolerance), from_fine)
-        return Deviations(largest, float(np.quantile(np.linalg.norm(state.residuals, axis=1), QUANTILE)))
+        largest = self._bound(level, from_fine, FEW_PIECES)[0]
+        return largest, float(np.quantile(np.linalg.norm(state.residuals, axis=1), QUANTILE))
+
+    def bound_distance(self, level: TexturedMesh) -> float:
+        """Return a distance from the fine mesh that no point of `level` exceeds."""
+        return self._bound(level, 0.0, MANY_PIECES)[1]
+
+    def _bound(self, level: TexturedMesh, minimum: float, max_pieces: int) -> tuple[float, float]:
+        tolerance = max(PRECISION * minimum, self._tolerance)
+        return bound_hausdorff(level.vertices[level.triangles], self.surface.tree, tolerance, minimum, max_pieces)
