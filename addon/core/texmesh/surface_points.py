@@ -4,7 +4,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from ..geometry.mesh import scaled_normals
-from .rebaking.surface_descent import SurfaceDescent
+from .surface_descent import SurfaceDescent
 from .textured_mesh import TexturedMesh
 
 
@@ -23,7 +23,7 @@ def find_vertex_weights(mesh: TexturedMesh, level: TexturedMesh, source_triangle
     starts[level.triangles] = by_source[level.sources // 3]
     normals = np.zeros((len(level.vertices), 3))
     np.add.at(normals, level.triangles, scaled_normals(level.vertices[level.triangles])[:, None])
-    descent = SurfaceDescent(mesh.vertices, mesh.triangles, np.zeros(len(mesh.triangles), np.int32))
+    descent = SurfaceDescent(mesh.vertices, mesh.triangles)
     triangles, barycentric = descent.find_nearest(level.vertices, normals, starts)
     rows = mesh.sources[triangles]
     vertices = source_triangles[rows // 3, rows % 3]
