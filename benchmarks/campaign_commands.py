@@ -128,7 +128,7 @@ def _build_project_case(random: Random, case: CommandCase, folder: Path, samples
             _add_output(case, flag, _choose_output(random, folder, random.choice(suffixes), source, case))
             if flag == "--overlays":
                 case.work = case.outputs[-1]  # They show why a merge fails, and are written before it.
-    if case.tool == "bdam" and command == "build" and case.outputs:  # A build that was cancelled can continue.
+    if case.tool == "bdam" and command == "build" and case.outputs and case.outputs[0].name:  # A build that was cancelled can continue.
         case.work = case.outputs[0].with_name(f".{case.outputs[0].name}.farfield-build")
     if command in ("levels", "build", "photos"):
         case.arguments += small_flags(case.tool) + random_flags(random, case.tool)
