@@ -37,7 +37,6 @@ class Tuning:
     max_sampled: int = 1_200_000  # Samples times iterations: most of the error of large levels goes in the first ones.
     triangle_fraction: float = 0.5  # This part of the samples is divided evenly among the fine triangles: small parts need some.
     normal_weight: float = 8.0  # A squared deviation of the surface counts so much more than one of the texture along the surface.
-    start_normal_weight: float = 24.0  # The same where levels are simplified before they are refitted.
     peak_weight: float = 1.0  # Places count more where the surface deviates most; 0 for the smallest mean.
     peak_scale: float = 4.0  # Squared distances count more if they are large compared with this multiple of their mean.
     max_emphasis: float = 3.0
@@ -78,7 +77,7 @@ def make_starts(fine: TexturedMesh, targets: list[int], settings: TexmeshSetting
     """Return where the refits of levels with `targets` triangles start."""
     reduced = [max(round((1.0 - TUNING.split_fraction) * target), 1) for target in targets]
     counts = sorted({*targets, *reduced}, reverse=True)
-    result = yield from simplify_by_cost(fine, lambda mesh, _: DeviationQuadrics(mesh, TUNING.start_normal_weight), counts, settings)
+    result = yield from simplify_by_cost(fine, lambda mesh, _: DeviationQuadrics(mesh, TUNING.normal_weight), counts, settings)
     levels = dict(zip(counts, result.levels, strict=True))
     return [RefitStart(target, levels[count], levels[target]) for target, count in zip(targets, reduced, strict=True)]
 
