@@ -16,8 +16,9 @@ import texmesh_peers
 from texmesh_renders import write_source
 
 from farfield.addon.bridge.geometry.mesh_arrays import read_loop_triangles, read_positions, read_uvs, read_values
+from farfield.addon.bridge.lod_sets import set_hidden
 from farfield.addon.bridge.objects import world_matrix
-from farfield.addon.bridge.texmesh.level_sets import read_level_set
+from farfield.addon.bridge.texmesh.level_sets import LevelSet, read_level_set
 from farfield.addon.bridge.texmesh.sources import TexturedSource
 from farfield.addon.core.errors import FarfieldError, GeometryError
 from farfield.addon.core.geometry.transforms import transform_points
@@ -128,13 +129,24 @@ def add_farfield_levels(assets: Sequence[Asset], ratios: Sequence[float]) -> str
         return str(error)
     for (source, placement), name in zip(job.placed, job.chains, strict=True):
         asset = by_name[placement.name]
-        meshes = [item.data for item in read_level_set(bpy.data.collections[name]).levels]
+        meshes = _evaluate_levels(read_level_set(bpy.data.collections[name]))
         counts = np.array([len(mesh.polygons) for mesh in meshes])
         for ratio in ratios:
             target = max(ratio * asset.triangles, 1.0)
             mesh = meshes[int(np.abs(np.log(np.maximum(counts, 1) / target)).argmin())]
             add_level(asset, "farfield", ratio, restore_materials(asset, mesh, _find_slots(asset, source)))
     return summary
+
+
+def _evaluate_levels(levels: LevelSet) -> list[bpy.types.Mesh]:
+    """Return the meshes of levels, in the pose of their armature."""
+    for item in levels.levels:
+        set_hidden(item, False)
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    return [
+        bpy.data.meshes.new_from_object(item.evaluated_get(depsgraph), preserve_all_data_layers=True, depsgraph=depsgraph)
+        for item in levels.levels
+    ]
 
 
 def _find_slots(asset: Asset, source: TexturedSource) -> list[int]:
