@@ -165,7 +165,7 @@ def bound_hausdorff(
     """
     largest, pieces = minimum, corners
     while True:
-        lower, upper = _distance_bounds(pieces, target, largest + tolerance)
+        lower, upper = _distance_bounds(pieces, target, largest + tolerance, tolerance)
         largest = max(largest, float(lower.max()))
         is_open = upper > largest + tolerance
         if not is_open.any():
@@ -184,7 +184,7 @@ def faces_farther_than(corners: np.ndarray, target: np.ndarray, distance: float,
     is_farther = np.zeros(len(corners), bool)
     pieces, face, tree = corners, np.arange(len(corners)), TriangleTree(target)
     while len(pieces):
-        lower, upper = _distance_bounds(pieces, tree, distance)
+        lower, upper = _distance_bounds(pieces, tree, distance, tolerance)
         is_farther[face[lower > distance - tolerance]] = True
         is_open = (upper > distance) & ~is_farther[face]
         if 4 * is_open.sum() > MAX_PIECES:
@@ -194,17 +194,20 @@ def faces_farther_than(corners: np.ndarray, target: np.ndarray, distance: float,
     return is_farther
 
 
-def _distance_bounds(pieces: np.ndarray, target: TriangleTree, threshold: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return lower and upper bounds (P,) of the largest distance of any point of each of `pieces` (P, 3, 3); loose below `threshold`."""
-    lower, nearest = target.find_closest(pieces.mean(axis=1))
+def _distance_bounds(pieces: np.ndarray, target: TriangleTree, threshold: float, tolerance: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Return lower and upper bounds (P,) of the largest distance of any point of each of `pieces` (P, 3, 3); loose below `threshold`: up to
+    `threshold` - `tolerance`, lower bounds are 0."""
+    enough = max(threshold - tolerance, 0.0)
+    lower, nearest = target.find_closest(pieces.mean(axis=1), enough)
     # The triangle nearest to the centroid decides most faces; only the others need those nearest to their corners.
     upper = _max_corner_distances(pieces, target.corners[nearest])
     undecided = np.flatnonzero(upper > threshold)
     if len(undecided):
-        distances, nearest = target.find_closest(pieces[undecided].reshape(-1, 3))
+        distances, nearest = target.find_closest(pieces[undecided].reshape(-1, 3), enough)
         lower[undecided] = np.maximum(lower[undecided], distances.reshape(-1, 3).max(axis=1))
         for candidates in nearest.reshape(-1, 3).T:
             upper[undecided] = np.minimum(upper[undecided], _max_corner_distances(pieces[undecided], target.corners[candidates]))
+    lower[lower <= enough] = 0.0
     return lower, upper
 
 

@@ -155,19 +155,20 @@ def _optimize(
     with, that one is taken."""
     del compared.images[1:]  # The optimization needs their memory.
     original, *others = (compared.items[index] for index in chosen)
-    comparison = LevelComparison(candidates.attributes.surface)
+    comparison, add_to = LevelComparison(candidates.attributes.surface), candidates.attributes.add_to
     moved = yield from refit_starts(comparison.surface, [item.start for item in others])
     kept = [original]
     for item, level in zip(others, moved, strict=True):
         yield Progress(0.9, "Comparing levels")
-        subsets = (item.mesh, candidates.attributes.add_to(extract_level(comparison.surface.mesh, item.start.full)))
-        choices = [replace(item, mesh=mesh) for mesh in (candidates.attributes.add_to(level), *subsets)]
+        choices = [level, item.mesh, extract_level(comparison.surface.mesh, item.start.full)]
         differences = None
         if len(level.triangles) <= MAX_RENDERED:
-            surfaces = view_levels([original, *choices], mipmaps, settings)
+            choices = [add_to(level), item.mesh, add_to(choices[-1])]
+            surfaces = view_levels([original, *(replace(item, mesh=mesh) for mesh in choices)], mipmaps, settings)
             differences = _measure_differences(open_images(surfaces, settings, compared.images), settings)
-        best = comparison.choose([choice.mesh for choice in choices], differences)
-        kept.append(replace(choices[best], distance=comparison.bound_distance(choices[best].mesh), is_moved=best == 0))
+        best = comparison.choose(choices, differences)
+        mesh = choices[best] if differences is not None or choices[best] is item.mesh else add_to(choices[best])
+        kept.append(replace(item, mesh=mesh, distance=comparison.bound_distance(mesh), is_moved=best == 0))
     return kept, open_images(view_levels(kept, mipmaps, settings), settings, compared.images)
 
 
