@@ -48,14 +48,19 @@ Patch = tuple[np.ndarray, np.ndarray, int]  # positions (R, C, 3) and texture co
 
 
 def open_asset(data: Path, name: str, seed: int) -> list[bpy.types.Object]:
-    """Replace the scene by a model, one of TUNING, JUDGING and GENERATORS, and return its objects."""
+    """Replace the scene by a model, one of TUNING, JUDGING and GENERATORS, and return its objects. Characters are at rest, as Farfield
+    makes their levels."""
     path = TUNING.get(name) or JUDGING.get(name)
     if path is not None:
         scene_files.open_scene(data / path)
-        return scene_files.objects_in_renders(data / path)
-    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    generator = np.random.default_rng([seed, list(GENERATORS).index(name)])
-    return [GENERATORS[name](generator)]
+        objects = scene_files.objects_in_renders(data / path)
+    else:
+        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+        objects = [GENERATORS[name](np.random.default_rng([seed, list(GENERATORS).index(name)]))]
+    for armature in bpy.data.armatures:
+        armature.pose_position = "REST"
+    bpy.context.view_layer.update()
+    return objects
 
 
 def build_streetlight(generator: np.random.Generator) -> bpy.types.Object:
