@@ -8,8 +8,11 @@ import pytest
 
 from farfield.addon.bridge.texmesh import glb_levels
 from farfield.addon.bridge.texmesh.glb_levels import enabled_gltf
-from farfield.addon.core.errors import FileError
+from farfield.addon.bridge.texmesh.level_sets import level_sets_in
+from farfield.addon.core.errors import FileError, SettingsError
+from farfield.addon.core.texmesh.settings import ExportSettings
 from glb_scenes import Nodes, check_equal, encode, square, write, write_with_blender
+from textured_scenes import textured_ball
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 
@@ -265,3 +268,20 @@ def test_an_error_of_the_exporter_is_one_sentence(monkeypatch, tmp_path):
     monkeypatch.setattr(glb_levels, "temporary_folder", lambda: nullcontext(tmp_path))
     with pytest.raises(FileError, match=r"^Blender's glTF exporter failed: \[Errno \d+\] [^\n]*levels\.glb'\.$"):
         write(Nodes().item)
+
+
+def test_without_pillow_images_keep_their_sizes_and_other_settings_are_refused(monkeypatch, tmp_path):
+    monkeypatch.setattr(glb_levels, "find_spec", lambda _: None)
+    ball = textured_ball(8, "Ball")
+    ball.select_set(True)
+    bpy.context.view_layer.objects.active = ball
+    bpy.ops.farfield.texmesh_levels(levels="ratios", ratios="0.5", views=1, max_image=32)
+    sets = level_sets_in(bpy.context.scene)
+    paths, sentences = glb_levels.write_levels(sets, tmp_path / "ball.glb")
+    assert len(paths) == 2 and sentences[0] == "Images of levels keep their sizes, since this Python lacks the module Pillow."
+    for name in ("webp", "compressed"):
+        with pytest.raises(
+            SettingsError, match=r"needs the module \w+, which this Python lacks; turn it off, or install Farfield's zip\.$"
+        ):
+            glb_levels.write_levels(sets, tmp_path / "other.glb", ExportSettings(**{name: True}))
+    assert not (tmp_path / "other-L0.glb").exists()

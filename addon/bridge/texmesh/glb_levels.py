@@ -7,13 +7,14 @@ import io
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from importlib.util import find_spec
 from pathlib import Path
 
 import addon_utils
 import bpy
 import numpy as np
 
-from ...core.errors import FileError
+from ...core.errors import FileError, SettingsError
 from ...core.files.atomic_write import atomic_folder
 from ...core.files.file_access import convert_os_errors
 from ...core.files.glb import Y_UP, Document, is_own_glb, load_glb, save_glb
@@ -50,10 +51,12 @@ def write_levels(sets: Sequence[LevelSet], path: Path, settings: ExportSettings 
 
     Raises:
         FileError: a file cannot be written, or an image cannot be read. GeometryError: an object has no triangles or is in Edit Mode.
+        SettingsError: a module that the settings need is missing.
     """
+    has_codecs = _check_modules(settings)
     count = 1 if settings.one_file else max(len(levels.levels) for levels in sets)
     paths = [path if settings.one_file else level_path(path, number) for number in range(count)]
-    is_rebaked = settings.rebake_textures and count > 1
+    is_rebaked = settings.rebake_textures and count > 1 and has_codecs
     with GlbObjects() as objects, atomic_folder(path.parent) as folder:
         nodes, levels = [], []
         for number in range(count):
@@ -68,8 +71,25 @@ def write_levels(sets: Sequence[LevelSet], path: Path, settings: ExportSettings 
             precision = None if not settings.quantized else COMPRESSIBLE if settings.compressed else FULL
             arranged = arrange_levels(level.document, found, precision, objects.material_names, objects.unlit, objects.armature_names)
             (folder / target.name).write_bytes(save_glb(arranged, settings.compressed))
+        if settings.rebake_textures and not has_codecs:
+            sentences.append("Images of levels keep their sizes, since this Python lacks the module Pillow.")
         lacking = objects.lacking
     return paths, [*sentences, *describe_lacking(lacking, "The .glb" if settings.one_file else "Each .glb")]
+
+
+def _check_modules(settings: ExportSettings) -> bool:
+    """Return whether images can be coded, which needs a module of Farfield's zip.
+
+    Raises:
+        SettingsError: settings that are off by default need a module that is missing.
+    """
+    needed = {"PIL": ("WebP", settings.webp, "webp"), "meshopt": ("Compressed", settings.compressed, "compressed")}
+    for module, (label, is_on, name) in needed.items():
+        if is_on and find_spec(module) is None:
+            raise SettingsError(
+                f"{label} needs the module {module}, which this Python lacks; turn it off, or install Farfield's zip.", settings=(name,)
+            )
+    return find_spec("PIL") is not None
 
 
 def level_outputs(path: Path, others: Sequence[Path] = ()) -> list[Output]:
