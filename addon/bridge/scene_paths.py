@@ -25,6 +25,11 @@ def scene_inputs() -> list[Input]:
     return inputs
 
 
+def default_folder() -> Path:
+    """Return the folder in which a file browser begins: that of the open file, or the user's."""
+    return Path(bpy.data.filepath).parent if bpy.data.filepath else Path.home()
+
+
 def check_scene_outputs(outputs: Sequence[Output], inputs: Sequence[Input] = ()) -> None:
     """Check what an operator writes: nothing of the open scene, its file, or other `inputs` may be replaced.
 

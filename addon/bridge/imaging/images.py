@@ -1,7 +1,7 @@
 """Conversion between arrays and Blender images, UDIM images of several files, and checks for missing image files."""
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 import bpy
@@ -109,9 +109,9 @@ def check_images(source: Source) -> None:
         )
 
 
-def find_images(source: Source) -> list[bpy.types.Image]:
-    """Return every image used by the materials of `source`, once."""
-    trees = [material.node_tree for material in source.materials if material.node_tree is not None]
+def find_images(materials: Iterable[bpy.types.Material]) -> list[bpy.types.Image]:
+    """Return every image that `materials` use, once."""
+    trees = [material.node_tree for material in materials if material.node_tree is not None]
     return list(dict.fromkeys(image for tree in trees for image in _images_in(tree)))
 
 

@@ -16,6 +16,7 @@ from ...core.geometry.transforms import transform_points
 from .. import lod_crossfade
 from ..geometry.joined_meshes import find_frame
 from ..geometry.mesh_pool import is_local
+from ..imaging.images import find_images
 from ..lod_sets import ERROR, KIND, NUMBER, LodSet, set_hidden
 from ..objects import world_matrix
 from ..rendering import render_properties
@@ -219,12 +220,6 @@ def remove_level_set(levels: LevelSet) -> None:
     for collection in (levels.collection, *groups):
         if not collection.objects and not collection.children:
             bpy.data.collections.remove(collection)
-
-
-def find_images(materials: Sequence[bpy.types.Material]) -> list[bpy.types.Image]:
-    """Return the images in the nodes of `materials`, each once."""
-    nodes = (node for material in materials if material.node_tree is not None for node in material.node_tree.nodes)
-    return list(dict.fromkeys(node.image for node in nodes if node.type == "TEX_IMAGE" and node.image is not None))
 
 
 def _find_sharing(level: bpy.types.Object) -> list[bpy.types.Object]:

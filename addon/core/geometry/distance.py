@@ -194,7 +194,7 @@ def faces_farther_than(corners: np.ndarray, target: np.ndarray, distance: float,
     return is_farther
 
 
-def _distance_bounds(pieces: np.ndarray, target: TriangleTree, threshold: float, tolerance: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+def _distance_bounds(pieces: np.ndarray, target: TriangleTree, threshold: float, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
     """Return lower and upper bounds (P,) of the largest distance of any point of each of `pieces` (P, 3, 3); loose below `threshold`: up to
     `threshold` - `tolerance`, lower bounds are 0."""
     enough = max(threshold - tolerance, 0.0)

@@ -164,12 +164,14 @@ def _optimize(
         differences = None
         if len(level.triangles) <= MAX_RENDERED:
             choices = [add_to(level), item.mesh, add_to(choices[-1])]
-            surfaces = view_levels([original, *(replace(item, mesh=mesh) for mesh in choices)], mipmaps, settings)
-            differences = _measure_differences(open_images(surfaces, settings, compared.images), settings)
+            surfaces = view_levels([replace(item, mesh=mesh) for mesh in choices], mipmaps, settings)
+            images = open_images([compared.images[0].surface, *surfaces], settings, compared.images)
+            differences = _measure_differences(images, settings)
         best = comparison.choose(choices, differences)
         mesh = choices[best] if differences is not None or choices[best] is item.mesh else add_to(choices[best])
         kept.append(replace(item, mesh=mesh, distance=comparison.bound_distance(mesh), is_moved=best == 0))
-    return kept, open_images(view_levels(kept, mipmaps, settings), settings, compared.images)
+    surfaces = [compared.images[0].surface, *view_levels(kept[1:], mipmaps, settings)]
+    return kept, open_images(surfaces, settings, compared.images)
 
 
 def _measure_differences(images: Sequence[LevelImages], settings: TexmeshSettings) -> np.ndarray:

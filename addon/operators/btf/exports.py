@@ -4,6 +4,7 @@ from pathlib import Path
 
 import bpy
 
+from ...bridge.scene_paths import default_folder
 from ...core.btf.settings import ExportSettings
 from .. import long_work, properties
 from ..error_reports import reports_errors
@@ -41,8 +42,7 @@ class FARFIELD_OT_btf_export(long_work.LongWork, bpy.types.Operator):
         """Open the file browser; if a file is given, start the job."""
         if self.filepath:
             return super().invoke(context, event)
-        folder = Path(bpy.data.filepath).parent if bpy.data.filepath else Path.home()
-        self.filepath = str(folder / (bpy.path.clean_name(active_cloud(context).collection.name) + FMF))
+        self.filepath = str(default_folder() / (bpy.path.clean_name(active_cloud(context).collection.name) + FMF))
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 

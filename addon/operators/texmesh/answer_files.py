@@ -4,7 +4,7 @@ from pathlib import Path
 
 import bpy
 
-from ...bridge.scene_paths import check_scene_outputs
+from ...bridge.scene_paths import check_scene_outputs, default_folder
 from ...core.errors import FileError
 from ...core.files.atomic_write import write_bytes_atomically
 from ...core.files.file_access import read_file
@@ -40,7 +40,7 @@ class FARFIELD_OT_texmesh_save_answers(bpy.types.Operator):
         """Open the file browser; if a file is given, write it."""
         if self.filepath:
             return self.execute(context)
-        self.filepath = str((Path(bpy.data.filepath).parent if bpy.data.filepath else Path.home()) / f"answers{SUFFIX}")
+        self.filepath = str(default_folder() / f"answers{SUFFIX}")
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 

@@ -13,10 +13,10 @@ from ...bridge.billboards.level_maps import LevelTextures
 from ...bridge.geometry.joined_meshes import find_frame
 from ...bridge.geometry.mesh_arrays import read_positions
 from ...bridge.geometry.meshes import Source, read_source
-from ...bridge.imaging.images import check_images
+from ...bridge.imaging.images import check_images, find_images
 from ...bridge.lod_sets import KIND
 from ...bridge.objects import find_by_uid, temporarily_visible
-from ...bridge.texmesh.level_sets import IMAGE, NewLevel, Placement, find_images
+from ...bridge.texmesh.level_sets import IMAGE, NewLevel, Placement
 from ...bridge.texmesh.sources import TexturedSource
 from ...core.billboards.build import build_cloud
 from ...core.billboards.cloud import Cloud

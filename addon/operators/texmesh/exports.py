@@ -4,7 +4,7 @@ from pathlib import Path
 
 import bpy
 
-from ...bridge.scene_paths import check_scene_outputs
+from ...bridge.scene_paths import check_scene_outputs, default_folder
 from ...bridge.texmesh.glb_levels import level_outputs, write_levels
 from ...core.errors import FileError
 from ...core.files.file_access import is_folder
@@ -39,9 +39,8 @@ class FARFIELD_OT_texmesh_export(bpy.types.Operator):
         """Open the file browser; if a file is given, write it."""
         if self.filepath:
             return self.execute(context)
-        folder = Path(bpy.data.filepath).parent if bpy.data.filepath else Path.home()
         name = bpy.path.clean_name(selected_level_sets(context)[0].source_name) or "levels"
-        self.filepath = str(folder / (name + SUFFIX))
+        self.filepath = str(default_folder() / (name + SUFFIX))
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 

@@ -151,7 +151,7 @@ class LevelsJob:
         remarks = []
         for index, (chain, cloud) in enumerate(core_result):
             last = None if cloud is None else self.clouds[index].create_level(cloud, images[index], chain.levels[-1].pixel_size, scene)
-            remarks += self._add(objects, index, chain, materials[index], collections, last)
+            remarks += self._add(objects, index, chain, materials[index], scene, collections, last)
         counts = _count_triangles(self.sources, self.placements, [chain for chain, _ in core_result], self.settings)
         return join_sentences([*counts, *remarks, *describe_skipped(self.skipped)])
 
@@ -173,6 +173,7 @@ class LevelsJob:
         index: int,
         chain: LevelChain,
         materials: Sequence[bpy.types.Material | None],
+        scene: bpy.types.Scene,
         collections: dict[int, bpy.types.Collection],
         cloud: NewLevel | None,
     ) -> list[str]:
@@ -191,10 +192,10 @@ class LevelsJob:
         add_materials(new, materials)
         if cloud is not None:
             new.append(replace(cloud, switch_distance=self._switch_distance(cloud.error)))
-        scene = find_by_uid(bpy.data.scenes, self.scene_uid)
+        figures = json.dumps(describe_chain(chain))
         for placement in self.placements[index]:
             levels = add_level_set(objects[placement.object_uid], new, collections[id(placement)], placement)
-            levels.collection[FIGURES] = json.dumps(describe_chain(chain))
+            levels.collection[FIGURES] = figures
             self.chains[levels.collection.name] = chain
             _show(levels, scene, self.scene_settings)
         last = None if cloud is None else f'The last level of "{source.name}" is a billboard cloud of {len(cloud.mesh.polygons)} quads.'

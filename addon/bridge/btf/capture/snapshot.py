@@ -160,7 +160,7 @@ def _unsaved_images(source: Source) -> list[bpy.types.Image]:
         FileError: if a tiled image has unsaved strokes, which only its own files can store.
     """
     unsaved = []
-    for image in find_images(source):
+    for image in find_images(source.materials):
         if image.is_dirty and image.source == "TILED":
             raise FileError(f'The tiles of the image "{image.name}" have unsaved changes; save them and bake again.')
         if image.is_dirty and image.has_data:
