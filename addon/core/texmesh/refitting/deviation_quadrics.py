@@ -25,12 +25,13 @@ from .correspondence import compute_uv_scale
 
 CURVE_WEIGHT = 1.0  # Weight of squared distances from an edge of a border in UV space, times its squared length.
 DEVIATION_WEIGHT = 0.5  # Weight of squared deviations of edges on borders in space, times their squared length.
+MIN_UV_LENGTH = 1e-9  # of an edge in UV space, relative to the one in space; shorter ones give no directions
 LENGTH_WEIGHT = 1e-6  # Weight of the squared length of a collapse, which decides where the map is affine.
 
 
 class DeviationQuadrics(WedgeQuadrics):
     """A `CollapseCost`: squared texture deviations, integrated over the triangles that wedges stand for. Deviations along the normal count
-    `normal_weight` times."""
+    `normal_weight` times. Kept vertices move to where they cost least."""
 
     def __init__(self, mesh: TexturedMesh, normal_weight: float) -> None:
         uv_scale = compute_uv_scale(mesh)
@@ -38,7 +39,7 @@ class DeviationQuadrics(WedgeQuadrics):
         center = points.mean(axis=0)
         areas, normals = face_areas_and_normals(mesh.vertices[mesh.triangles])
         weights = _weigh_triangles(areas)
-        super().__init__(mesh, points - center, mesh.vertices - center[:3], normal_weight * weights)
+        super().__init__(mesh, points - center, normal_weight * weights, moves_vertices=True)
         self._areas = np.bincount(mesh.wedge_triangles.ravel(), np.repeat(weights, 3) / 3.0, len(points))
         rows = _deviation_rows(self._points[mesh.wedge_triangles], normals, normal_weight)
         terms = np.einsum("tik,til->tkl", rows, rows)[:, ROWS, COLUMNS] * (weights / 3.0)[:, None]
@@ -72,7 +73,7 @@ class DeviationQuadrics(WedgeQuadrics):
         rows[:, 3], rows[:, 4] = -edges[:, 1] / lengths, edges[:, 0] / lengths
         rows[:, 5] = -(rows[:, 3:5] * self._points[start, 3:]).sum(axis=1)
         uv_lengths, lengths = lengths, np.linalg.norm(self._points[end, :3] - self._points[start, :3], axis=1)
-        scales = np.where(uv_lengths > 1e-9 * lengths, lengths / np.maximum(uv_lengths, 1e-300), 0.0)
+        scales = np.divide(lengths, uv_lengths, out=np.zeros_like(lengths), where=uv_lengths > MIN_UV_LENGTH * lengths)
         terms = rows[:, ROWS] * rows[:, COLUMNS] * (0.5 * CURVE_WEIGHT * (scales * lengths) ** 2)[:, None]
         np.add.at(self._quadrics, start, terms)
         np.add.at(self._quadrics, end, terms)

@@ -1,8 +1,9 @@
 """Rounds of independent half-edge collapses of a textured mesh.
 
-Vertices and wedges never move. In each round, vertices are taken from the beginning of an order, as far as they share no triangle. Each
+In each round, vertices are taken from the beginning of an order, as far as they share no triangle. Each
 collapses onto the first of its neighbors that the guards accept. A vertex that is refused is tried again when its neighborhood has changed.
-For each collapse it is recorded how much it is seen (section IV.B of the paper).
+For each collapse it is recorded how much it is seen (section IV.B of the paper). Kept vertices stay where they are, or move to where they
+cost least.
 """
 
 from dataclasses import dataclass
@@ -27,6 +28,7 @@ from .collapse_fans import (
     find_refusals,
     replace_wedges,
 )
+from .placement import VertexPlacement, shorten_steps
 from .topology import BOUNDARY, Collapses, Topology, build_topology, divide_into_surfaces, find_islands
 
 MAX_ATTEMPTS = 8  # neighbors that are tried per vertex and round
@@ -149,6 +151,7 @@ class CollapseEngine:
         reasons: (V,) uint8, why the preferred collapse of a vertex was refused.
         frees_ends: whether ends of seams may collapse.
         crosses_seams: see `Topology`.
+        placement: where kept vertices move, None if they stay. Vertices where surfaces touch stay in any case.
         folded_count, dropped_island_count: collapses that only the `relaxation` allowed.
     """
 
@@ -167,12 +170,14 @@ class CollapseEngine:
         vectors = (mesh.vertices, vertex_normals(mesh.vertices, mesh.triangles), mesh.uvs)
         self.surface = Surface(*(np.ascontiguousarray(values.T) for values in vectors))
         self.relaxation = Relaxation()
+        self.placement: VertexPlacement | None = None
         self.perceptual = PerceptualValues(mesh.vertices)
         self.reasons = np.zeros(len(mesh.vertices), np.uint8)
         self.removed, self.kept, self.values = [], [], []
         self.folded_count = self.dropped_island_count = 0
         self._retry_count = 0
         self._is_waiting = np.zeros(len(mesh.vertices), bool)
+        self._is_divided = np.bincount(self.fine_vertices)[self.fine_vertices] > 1
         self._random = np.random.default_rng(0)
         self.rebuild()
 
@@ -307,23 +312,44 @@ class CollapseEngine:
         self.removed.append(collapses.removed)
         self.kept.append(collapses.kept)
         changed = np.unique(fans.neighbors[1])
+        replaced = fans.topology.wedges[fans.corners]
+        replaced = replaced[replaced != fans.wedges]
         self.triangles.reshape(-1)[fans.corners] = collapses.kept[fans.owners]
         self.wedges.reshape(-1)[fans.corners] = fans.wedges
         is_kept = np.ones(self.triangle_count, bool)
         is_kept[fans.triangles[fans.vanishes]] = False
         self._keep(is_kept)
         self._is_waiting[changed] = False
-        order.drop_wedges(*self._find_dropped_wedges(fans))
+        order.drop_wedges(*self._find_dropped_wedges(fans, replaced))
         order.mark_changed(changed)
         self.rebuild()
+        if self.placement is not None:
+            self._place(np.unique(collapses.kept))
 
-    def _find_dropped_wedges(self, fans: CollapseFans) -> tuple[np.ndarray, np.ndarray]:
-        """Return the wedges (N,) whose last triangles vanished with the collapses of `fans`, and the vertices (N,) where they were."""
+    def _place(self, vertices: np.ndarray) -> None:
+        """Move `vertices` (N,) to where they cost least, but at most as far as their farthest neighbors are, and fold no triangle."""
+        topology, positions = self.topology, self.surface.positions
+        vertices = vertices[topology.is_used[vertices] & ~self._is_divided[vertices]]
+        owners, corners = topology.find_corners(vertices)
+        edges = positions[:, topology.ends[corners]] - positions[:, vertices[owners]]
+        limits = np.zeros(len(vertices))
+        np.maximum.at(limits, owners, np.linalg.norm(edges, axis=0))
+        triangles = self.triangles[:, np.unique(corners % topology.triangle_count)]
+        steps = shorten_steps(self.surface, triangles, vertices, self.placement.find_steps(vertices, limits))
+        positions[:, vertices] += steps.T
+        starts, wedges = topology.vertex_wedges
+        counts = starts[vertices + 1] - starts[vertices]
+        self.placement.move(
+            vertices, steps, np.repeat(np.arange(len(vertices)), counts), wedges[concatenate_ranges(starts[vertices], counts)]
+        )
+
+    def _find_dropped_wedges(self, fans: CollapseFans, replaced: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the wedges (N,) whose last triangles vanished with the collapses of `fans`, and the vertices (N,) where they were.
+        replaced: (M,), wedges that others replace."""
         starts, wedges = fans.topology.vertex_wedges
         is_used = np.zeros(len(self.groups), bool)
         is_used[self.wedges] = True
-        old = fans.topology.wedges[fans.corners]
-        is_used[old[old != fans.wedges]] = True  # Those that others replace are no longer needed.
+        is_used[replaced] = True  # They are no longer needed.
         rows = np.flatnonzero(~is_used[wedges])
         vertices = np.searchsorted(starts, rows, side="right") - 1
         homes = np.arange(len(starts) - 1)

@@ -1,4 +1,4 @@
-"""Levels of detail of textured meshes whose vertices and wedges are among those of the fine mesh.
+"""Levels of detail of textured meshes whose vertices and wedges are among those of the fine mesh, where they are or moved.
 
 Sections I.B and III.A of the paper: vertices are removed by half-edge collapses in a given order, and drastic simplification goes on where
 the constraints of surface and texture would stop it.
@@ -18,6 +18,7 @@ from .collapse_fans import FLIP, FOLD, SHORT_CURVE, TOPOLOGY, VALID
 from .drastic import DrasticSteps
 from .engine import CollapseEngine, RemovalOrder
 from .removal_orders import CheapestOrder, CollapseCost, GivenOrder, TextureQuadrics
+from .wedge_quadrics import WedgeQuadrics
 
 TOLERANCE = 0.01  # A count that exceeds the target by this fraction has reached it.
 REFUSALS = {
@@ -39,6 +40,7 @@ class SubsetLevel:
         collapse_count: number of collapses up to this level.
         constraint: why the target was not reached within 1 %, "" if it was reached.
         drastic_steps: sentences that tell what drastic simplification did up to this level.
+        positions: (V, 3) of the vertices of the fine mesh in this level, None if all have their own.
     """
 
     triangles: np.ndarray
@@ -47,6 +49,7 @@ class SubsetLevel:
     collapse_count: int
     constraint: str
     drastic_steps: tuple[str, ...]
+    positions: np.ndarray | None
 
 
 @dataclass(frozen=True)
@@ -102,6 +105,8 @@ def simplify_by_cost(
     """
     engine = CollapseEngine(mesh, crosses_seams=settings.vertices == "optimized")
     cost = TextureQuadrics(engine.mesh) if make_cost is None else make_cost(engine.mesh, engine.fine_vertices)
+    if isinstance(cost, WedgeQuadrics) and cost.moves_vertices:
+        engine.placement = cost
     order = CheapestOrder(cost, len(engine.mesh.vertices))
     return (yield from _make_levels(engine, order, targets, settings))
 
@@ -114,7 +119,7 @@ def extract_level(mesh: TexturedMesh, level: SubsetLevel) -> TexturedMesh:
     sources = np.zeros(len(mesh.uvs), np.int32)
     sources[mesh.wedge_triangles.reshape(-1)] = mesh.sources.reshape(-1)
     return TexturedMesh(
-        vertices=mesh.vertices[used_vertices],
+        vertices=(mesh.vertices if level.positions is None else level.positions)[used_vertices],
         triangles=triangles,
         wedge_triangles=wedge_triangles,
         wedge_vertices=wedge_vertices.astype(np.int32),
@@ -161,7 +166,17 @@ def _take_level(engine: CollapseEngine, drastic: DrasticSteps, target: int) -> S
         collapse_count=sum(map(len, engine.removed)),
         constraint="" if is_reached else name_constraint(engine, target),
         drastic_steps=tuple(drastic.sentences),
+        positions=None if engine.placement is None else _list_positions(engine),
     )
+
+
+def _list_positions(engine: CollapseEngine) -> np.ndarray:
+    """Return the positions (V, 3) of the vertices of the mesh that was given; the current ones of those that are used."""
+    positions = np.empty((engine.fine_vertices.max() + 1, 3))
+    positions[engine.fine_vertices] = engine.surface.positions.T
+    used = np.flatnonzero(engine.topology.is_used)
+    positions[engine.fine_vertices[used]] = engine.surface.positions.T[used]
+    return positions
 
 
 def _advance(engine: CollapseEngine, order: RemovalOrder, drastic: DrasticSteps, target: int) -> bool:

@@ -130,27 +130,6 @@ class CheapestOrder:
         self._is_stale[vertices] = True
 
 
-class ScaleWeightedQuadrics:
-    """Texture quadrics, weighted by the last scale at which the removed vertex is a feature; a `CollapseCost`."""
-
-    def __init__(self, mesh: TexturedMesh, last_scales: np.ndarray) -> None:
-        """last_scales: (V,) int, see `ScaleMap`."""
-        self._quadrics = TextureQuadrics(mesh)
-        self._weights = WEIGHT_PER_SCALE ** last_scales.astype(np.float64)
-
-    def evaluate(self, collapses: Collapses, moves: WedgeMoves) -> np.ndarray:
-        """See `CollapseCost`."""
-        return self._quadrics.evaluate(collapses, moves) * self._weights[collapses.removed]
-
-    def merge(self, collapses: Collapses, moves: WedgeMoves) -> None:
-        """See `CollapseCost`."""
-        self._quadrics.merge(collapses, moves)
-
-    def drop_wedges(self, wedges: np.ndarray, vertices: np.ndarray) -> None:
-        """See `CollapseCost`."""
-        self._quadrics.drop_wedges(wedges, vertices)
-
-
 class TextureQuadrics(WedgeQuadrics):
     """A `CollapseCost`: sums of squared distances to the triangles and curves that a wedge stands for, weighted by area."""
 
@@ -159,7 +138,7 @@ class TextureQuadrics(WedgeQuadrics):
         positions = (mesh.vertices - mesh.vertices.mean(axis=0)) * unit
         scales, overall = _find_uv_scales(mesh, unit)
         points = np.concatenate([positions[mesh.wedge_vertices], mesh.uvs * overall], axis=1)
-        super().__init__(mesh, points, positions, face_areas_and_normals(positions[mesh.triangles])[0])
+        super().__init__(mesh, points, face_areas_and_normals(positions[mesh.triangles])[0], moves_vertices=False)
         triangles = np.ascontiguousarray(mesh.triangles.T)
         wedges = np.ascontiguousarray(mesh.wedge_triangles.T)
         topology = build_topology(triangles, wedges, np.arange(len(points)), np.zeros(len(mesh.vertices), bool))
@@ -205,6 +184,19 @@ class TextureQuadrics(WedgeQuadrics):
             curve_terms = distances[:, ROWS] * distances[:, COLUMNS] * weights[:, None]
             np.add.at(self._quadrics, wedges[rows, corner], curve_terms)
             np.add.at(self._quadrics, wedges[rows, (corner + 1) % 3], curve_terms)
+
+
+class ScaleWeightedQuadrics(TextureQuadrics):
+    """Texture quadrics, weighted by the last scale at which the removed vertex is a feature."""
+
+    def __init__(self, mesh: TexturedMesh, last_scales: np.ndarray) -> None:
+        """last_scales: (V,) int, see `ScaleMap`."""
+        super().__init__(mesh)
+        self._weights = WEIGHT_PER_SCALE ** last_scales.astype(np.float64)
+
+    def evaluate(self, collapses: Collapses, moves: WedgeMoves) -> np.ndarray:
+        """See `CollapseCost`."""
+        return super().evaluate(collapses, moves) * self._weights[collapses.removed]
 
 
 def _find_color_borders(mesh: TexturedMesh, topology: Topology) -> np.ndarray:

@@ -1,4 +1,8 @@
-"""Quadrics of position and texture coordinates, one per wedge, that are evaluated where the wedge moves."""
+"""Quadrics of position and texture coordinates, one per wedge, and the quadrics of positions that they give at vertices.
+
+With the texture coordinates that the wedges of a vertex have, their quadrics add up to one of its position. It is evaluated where the
+vertex stays, or at its minimum, as Garland and Heckbert do, "Surface Simplification Using Quadric Error Metrics", 1997, section 4.
+"""
 
 import numpy as np
 
@@ -9,96 +13,119 @@ from .engine import WedgeMoves
 from .topology import Collapses, find_islands
 
 ROWS, COLUMNS = np.triu_indices(6)
-PLANE_ROWS, PLANE_COLUMNS = np.triu_indices(4)
-CHUNK_COLLAPSES = 1 << 13
+POSITION_ROWS, POSITION_COLUMNS = np.triu_indices(4)
+CHUNK_COLLAPSES = 1 << 12
 LOST_DISTANCE = 0.05  # The texture of an island that vanishes counts as so far away, relative to the longest side of the mesh.
+RIDGE = 1e-3  # Relative to the mean of the eigenvalues; keeps vertices in place along planes.
+UNCERTAINTY = 0.05  # This part of what a move saves is not relied on, since the move may be refused: it would fold the surface.
 
 
 class WedgeQuadrics:
     """The part that costs of collapses have in common. A subclass adds quadrics (W, 21) and areas (W,) of wedges, then calls `finish`."""
 
-    def __init__(self, mesh: TexturedMesh, points: np.ndarray, positions: np.ndarray, plane_weights: np.ndarray) -> None:
-        """points: (W, 5), positions and texture coordinates of wedges, scaled alike. positions: (V, 3), of the vertices of `mesh`.
-        plane_weights: (T,), of squared distances from the planes of triangles."""
-        areas = face_areas_and_normals(positions[mesh.triangles])[0]
-        self._island_costs = np.bincount(find_islands(mesh), areas) * (LOST_DISTANCE * longest_side(positions)) ** 2
-        self._points, self._positions = points.copy(), positions
-        self._monomials = _list_monomials(points)
+    def __init__(self, mesh: TexturedMesh, points: np.ndarray, plane_weights: np.ndarray, moves_vertices: bool) -> None:
+        """points: (W, 5), positions and texture coordinates of wedges, scaled alike. plane_weights: (T,), of squared distances from the
+        planes of triangles. moves_vertices: whether kept vertices move to the minima of their quadrics."""
+        self._wedge_vertices, self.moves_vertices = mesh.wedge_vertices, moves_vertices
+        self._points = points.copy()
+        self._positions = np.zeros((len(mesh.vertices), 3))
+        self._positions[mesh.wedge_vertices] = points[:, :3]
+        areas, normals = face_areas_and_normals(self._positions[mesh.triangles])
+        self._island_costs = np.bincount(find_islands(mesh), areas) * (LOST_DISTANCE * longest_side(self._positions)) ** 2
         self._quadrics = np.zeros((len(points), len(ROWS)))
         self._areas = np.zeros(len(points))
-        self._planes = _plane_quadrics(mesh, positions, plane_weights)
-        self._vertex_planes, self._has_vertex_planes = np.zeros((len(positions), len(PLANE_ROWS))), False  # see `drop_wedges`
+        self._planes = self._sum_planes(mesh, normals, plane_weights)
+        self._vertex_planes = np.zeros((len(mesh.vertices), len(POSITION_ROWS)))  # see `drop_wedges`
 
     def finish(self) -> None:
-        """Compute the costs of wedges that stay where they are."""
-        self._own_costs = np.einsum("wk,wk->w", self._quadrics, self._monomials)
+        """Sum the quadrics of vertices."""
+        self._at_vertices = np.zeros_like(self._vertex_planes)
+        np.add.at(self._at_vertices, self._wedge_vertices, _fix_uvs(self._quadrics, self._points[:, 3:]))
 
     def merge(self, collapses: Collapses, moves: WedgeMoves) -> None:
         """See `CollapseCost`."""
+        np.add.at(self._at_vertices, collapses.kept, self._sum_removed(collapses, moves))
         np.add.at(self._vertex_planes, collapses.kept, self._vertex_planes[collapses.removed])
         is_moved = moves.removed == moves.kept
         self.merge_wedges(moves.removed[~is_moved], moves.kept[~is_moved])
-        moved = moves.removed[is_moved]
-        self._points[moved, :3] = self._positions[collapses.kept[moves.owners[is_moved]]]
-        self._monomials[moved] = _list_monomials(self._points[moved])
-        self._own_costs[moved] = np.einsum("wk,wk->w", self._quadrics[moved], self._monomials[moved])
+        self._points[moves.removed[is_moved], :3] = self._positions[collapses.kept[moves.owners[is_moved]]]
 
     def drop_wedges(self, wedges: np.ndarray, vertices: np.ndarray) -> None:
         """See `CollapseCost`. The planes that the wedges stand for stay with the vertices."""
-        np.add.at(self._vertex_planes, vertices, self._planes[wedges])
-        self._has_vertex_planes |= len(wedges) > 0
+        planes = self._planes[wedges]
+        np.add.at(self._vertex_planes, vertices, planes)
+        np.add.at(self._at_vertices, vertices, planes - _fix_uvs(self._quadrics[wedges], self._points[wedges, 3:]))
 
     def merge_wedges(self, removed: np.ndarray, kept: np.ndarray) -> None:
         """Add the quadrics of wedges (N,) to those that take their place."""
         np.add.at(self._quadrics, kept, self._quadrics[removed])
         np.add.at(self._planes, kept, self._planes[removed])
         np.add.at(self._areas, kept, self._areas[removed])
-        self._own_costs[kept] = np.einsum("wk,wk->w", self._quadrics[kept], self._monomials[kept])
+
+    def find_steps(self, vertices: np.ndarray, limits: np.ndarray) -> np.ndarray:
+        """See `VertexPlacement`."""
+        return _find_minima(self._at_vertices[vertices], self._positions[vertices], limits)[0]
+
+    def move(self, vertices: np.ndarray, steps: np.ndarray, owners: np.ndarray, wedges: np.ndarray) -> None:
+        """See `VertexPlacement`."""
+        self._positions[vertices] += steps
+        self._points[wedges, :3] = self._positions[vertices[owners]]
 
     def evaluate_wedges(self, collapses: Collapses, moves: WedgeMoves) -> np.ndarray:
-        """Return the costs (N,) of moving the wedges of `collapses`, with those of the wedges that they move onto, not negative."""
-        costs = np.bincount(moves.owners, self._evaluate(moves.removed, moves.kept), len(collapses.removed)).astype(np.float64)
-        moved = np.flatnonzero(moves.removed == moves.kept)
-        if len(moved):
-            wedges, owners = moves.removed[moved], moves.owners[moved]
-            points = self._points[wedges]
-            points[:, :3] = self._positions[collapses.kept[owners]]
-            rest = np.einsum("wk,wk->w", self._quadrics[wedges], _list_monomials(points)) - self._own_costs[wedges]
-            costs += np.bincount(owners, rest, len(costs))
-        first, second = collapses.kept_wedges
-        costs += self._own_costs[first] + np.where((second >= 0) & (second != first), self._own_costs[second], 0.0)
+        """Return the costs (N,) of the kept vertices after `collapses`, not negative."""
+        quadrics = self._at_vertices[collapses.kept] + self._sum_removed(collapses, moves)
+        positions, costs = self._positions[collapses.kept], np.empty(len(quadrics))
+        for chunk in slices(len(quadrics), CHUNK_COLLAPSES):  # in parts that stay in the cache
+            costs[chunk] = _evaluate(quadrics[chunk], positions[chunk])
+            if self.moves_vertices:
+                lengths = np.linalg.norm(positions[chunk] - self._positions[collapses.removed[chunk]], axis=1)
+                costs[chunk] -= (1.0 - UNCERTAINTY) * _find_minima(quadrics[chunk], positions[chunk], lengths)[1]
         for islands in moves.lost_islands:
             costs += np.where(islands >= 0, self._island_costs[islands], 0.0)
-        if self._has_vertex_planes:
-            planes = self._vertex_planes[collapses.removed] + self._vertex_planes[collapses.kept]
-            costs += np.einsum("nk,nk->n", planes, _list_products(self._positions[collapses.kept], PLANE_ROWS, PLANE_COLUMNS))
         return np.maximum(costs, 0.0)
 
-    def _evaluate(self, removed: np.ndarray, kept: np.ndarray) -> np.ndarray:
-        costs = np.empty(len(removed))
-        for chunk in slices(len(removed), CHUNK_COLLAPSES):  # in parts that stay in the cache
-            quadrics, monomials = self._quadrics.take(removed[chunk], axis=0), self._monomials.take(kept[chunk], axis=0)
-            np.einsum("wk,wk->w", quadrics, monomials, out=costs[chunk])
-        return costs
+    def _sum_removed(self, collapses: Collapses, moves: WedgeMoves) -> np.ndarray:
+        """Return what the removed vertices add to the quadrics of the kept ones, (N, 10)."""
+        added = np.empty((len(moves.removed), len(POSITION_ROWS)))
+        for chunk in slices(len(added), CHUNK_COLLAPSES):
+            added[chunk] = _fix_uvs(self._quadrics.take(moves.removed[chunk], axis=0), self._points[moves.kept[chunk], 3:])
+        starts = np.searchsorted(moves.owners, np.arange(len(collapses.removed)))
+        return self._vertex_planes[collapses.removed] + np.add.reduceat(added, starts, axis=0)
+
+    def _sum_planes(self, mesh: TexturedMesh, normals: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Return quadrics (W, 10) of squared distances from the planes of the triangles at wedges, with `weights` (T,)."""
+        planes = np.column_stack([normals, -np.einsum("ti,ti->t", normals, self._positions[mesh.triangles[:, 0]])])
+        terms = planes[:, POSITION_ROWS] * planes[:, POSITION_COLUMNS] * (weights / 3.0)[:, None]
+        quadrics = np.zeros((len(mesh.uvs), len(POSITION_ROWS)))
+        for corner in range(3):
+            np.add.at(quadrics, mesh.wedge_triangles[:, corner], terms)
+        return quadrics
 
 
-def _list_monomials(points: np.ndarray) -> np.ndarray:
-    """Return the products (W, 21) by which quadrics are evaluated at `points` (W, 5)."""
-    return _list_products(points, ROWS, COLUMNS)
+def _fix_uvs(quadrics: np.ndarray, uvs: np.ndarray) -> np.ndarray:
+    """Return the quadrics of positions (N, 10) that `quadrics` (N, 21) are with texture coordinates `uvs` (N, 2)."""
+    xx, xy, xz, xu, xv, x1, yy, yz, yu, yv, y1, zz, zu, zv, z1, uu, uv, u1, vv, v1, one = quadrics.T
+    u, v = uvs.T
+    constant = one + u * (u * uu + 2.0 * (v * uv + u1)) + v * (v * vv + 2.0 * v1)
+    linear = [u * along_u + v * along_v + rest for along_u, along_v, rest in ((xu, xv, x1), (yu, yv, y1), (zu, zv, z1))]
+    return np.stack([xx, xy, xz, linear[0], yy, yz, linear[1], zz, linear[2], constant], axis=1)
 
 
-def _list_products(points: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Return products of homogeneous coordinates of `points` (N, D), for each pair of `rows` and `columns` (K,): (N, K)."""
-    homogeneous = np.column_stack([points, np.ones(len(points))])
-    return homogeneous[:, rows] * homogeneous[:, columns] * np.where(rows == columns, 1.0, 2.0)
+def _evaluate(quadrics: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """Return the values (N,) of quadrics (N, 10) at `positions` (N, 3)."""
+    homogeneous = np.column_stack([positions, np.ones(len(positions))])
+    products = homogeneous[:, POSITION_ROWS] * homogeneous[:, POSITION_COLUMNS]
+    return np.einsum("nk,nk->n", quadrics, products * np.where(POSITION_ROWS == POSITION_COLUMNS, 1.0, 2.0))
 
 
-def _plane_quadrics(mesh: TexturedMesh, positions: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return quadrics (W, 10) of squared distances of positions from the planes of the triangles at wedges, with `weights` (T,)."""
-    _, normals = face_areas_and_normals(positions[mesh.triangles])
-    planes = np.column_stack([normals, -np.einsum("ti,ti->t", normals, positions[mesh.triangles[:, 0]])])
-    terms = planes[:, PLANE_ROWS] * planes[:, PLANE_COLUMNS] * (weights / 3.0)[:, None]
-    quadrics = np.zeros((len(mesh.uvs), len(PLANE_ROWS)))
-    for corner in range(3):
-        np.add.at(quadrics, mesh.wedge_triangles[:, corner], terms)
-    return quadrics
+def _find_minima(quadrics: np.ndarray, positions: np.ndarray, limits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the moves (N, 3) from `positions` (N, 3) to the minima of quadrics (N, 10), at most as long as `limits` (N,), and how much
+    smaller the quadrics are there, (N,)."""
+    matrices = quadrics[:, [[0, 1, 2], [1, 4, 5], [2, 5, 7]]]
+    gradients = np.einsum("nij,nj->ni", matrices, positions) + quadrics[:, [3, 6, 8]]
+    ridges = RIDGE / 3.0 * np.trace(matrices, axis1=1, axis2=2) + np.finfo(float).tiny
+    moves = -np.linalg.solve(matrices + ridges[:, None, None] * np.eye(3), gradients[:, :, None])[:, :, 0]
+    lengths = np.linalg.norm(moves, axis=1)
+    moves *= np.divide(limits, lengths, out=np.ones_like(lengths), where=lengths > limits)[:, None]
+    changes = 2.0 * np.einsum("ni,ni->n", gradients, moves) + np.einsum("ni,nij,nj->n", moves, matrices, moves)
+    return moves, -changes
