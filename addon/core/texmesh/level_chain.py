@@ -169,7 +169,7 @@ def _optimize(
             differences = _measure_differences(images, settings)
         best = comparison.choose(choices, differences)
         mesh = choices[best] if differences is not None or choices[best] is item.mesh else add_to(choices[best])
-        kept.append(replace(item, mesh=mesh, distance=comparison.bound_distance(mesh), is_moved=best == 0))
+        kept.append(replace(item, mesh=mesh, distance=comparison.bound_distance(mesh), is_moved=best != 1))
     surfaces = [compared.images[0].surface, *view_levels(kept[1:], mipmaps, settings)]
     return kept, open_images(surfaces, settings, compared.images)
 

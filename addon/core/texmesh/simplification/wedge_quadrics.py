@@ -40,7 +40,7 @@ class WedgeQuadrics:
     def finish(self) -> None:
         """Sum the quadrics of vertices."""
         self._at_vertices = np.zeros_like(self._vertex_planes)
-        np.add.at(self._at_vertices, self._wedge_vertices, _fix_uvs(self._quadrics, self._points[:, 3:]))
+        np.add.at(self._at_vertices, self._wedge_vertices, fix_uvs(self._quadrics, self._points[:, 3:]))
 
     def merge(self, collapses: Collapses, moves: WedgeMoves) -> None:
         """See `CollapseCost`."""
@@ -54,7 +54,7 @@ class WedgeQuadrics:
         """See `CollapseCost`. The planes that the wedges stand for stay with the vertices."""
         planes = self._planes[wedges]
         np.add.at(self._vertex_planes, vertices, planes)
-        np.add.at(self._at_vertices, vertices, planes - _fix_uvs(self._quadrics[wedges], self._points[wedges, 3:]))
+        np.add.at(self._at_vertices, vertices, planes - fix_uvs(self._quadrics[wedges], self._points[wedges, 3:]))
 
     def merge_wedges(self, removed: np.ndarray, kept: np.ndarray) -> None:
         """Add the quadrics of wedges (N,) to those that take their place."""
@@ -88,7 +88,7 @@ class WedgeQuadrics:
         """Return what the removed vertices add to the quadrics of the kept ones, (N, 10)."""
         added = np.empty((len(moves.removed), len(POSITION_ROWS)))
         for chunk in slices(len(added), CHUNK_COLLAPSES):
-            added[chunk] = _fix_uvs(self._quadrics.take(moves.removed[chunk], axis=0), self._points[moves.kept[chunk], 3:])
+            added[chunk] = fix_uvs(self._quadrics.take(moves.removed[chunk], axis=0), self._points[moves.kept[chunk], 3:])
         starts = np.searchsorted(moves.owners, np.arange(len(collapses.removed)))
         return self._vertex_planes[collapses.removed] + np.add.reduceat(added, starts, axis=0)
 
@@ -102,7 +102,7 @@ class WedgeQuadrics:
         return quadrics
 
 
-def _fix_uvs(quadrics: np.ndarray, uvs: np.ndarray) -> np.ndarray:
+def fix_uvs(quadrics: np.ndarray, uvs: np.ndarray) -> np.ndarray:
     """Return the quadrics of positions (N, 10) that `quadrics` (N, 21) are with texture coordinates `uvs` (N, 2)."""
     xx, xy, xz, xu, xv, x1, yy, yz, yu, yv, y1, zz, zu, zv, z1, uu, uv, u1, vv, v1, one = quadrics.T
     u, v = uvs.T
