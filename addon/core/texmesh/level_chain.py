@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..imaging.mipmaps import Mipmaps, build_mipmaps
+from ..jobs.memory import release_memory
 from ..jobs.progress import Progress, Steps, subprogress
 from .level_candidates import Candidate, Candidates, make_candidates, parse_ratios
 from .level_choices import AS_MANY_AS_ASKED, MIN_PIXELS, ComparedCandidates, choose_candidates, compare_candidates, count_bytes, view_levels
@@ -109,11 +110,13 @@ def make_levels(
     ratios = parse_ratios(settings.ratios) if settings.levels == "ratios" else []
     if scale_map is None:
         scale_map = yield from subprogress(analyze_scale_space(mesh, textures, settings), 0.0, 0.35)
+    release_memory()
     mipmaps = [None if texture is None else build_mipmaps(texture) for texture in textures]
     candidates = yield from subprogress(make_candidates(mesh, scale_map, ratios, settings), 0.35, 0.6)
     compared = yield from subprogress(compare_candidates(candidates, mipmaps, settings), 0.6, 0.8)
     yield Progress(0.8, "Choosing levels")
     chosen = choose_candidates(compared, settings)
+    release_memory()
     finish = _optimize if candidates.is_optimized else _keep
     kept, images = yield from subprogress(finish(candidates, compared, chosen, mipmaps, settings), 0.8, 0.95)
     find_shown = _show_all if settings.levels in AS_MANY_AS_ASKED else _show_visible
@@ -160,10 +163,12 @@ def _optimize(
     kept = [original]
     for item, level in zip(others, moved, strict=True):
         yield Progress(0.9, "Comparing levels")
-        choices = [level, item.mesh, extract_level(comparison.surface.mesh, item.start.full)]
+        choices = [level, item.mesh]
+        if item.subset is not item.start.full:
+            choices.append(extract_level(comparison.surface.mesh, item.start.full))
         differences = None
         if len(level.triangles) <= MAX_RENDERED:
-            choices = [add_to(level), item.mesh, add_to(choices[-1])]
+            choices = [mesh if mesh is item.mesh else add_to(mesh) for mesh in choices]
             surfaces = view_levels([replace(item, mesh=mesh) for mesh in choices], mipmaps, settings)
             images = open_images([compared.images[0].surface, *surfaces], settings, compared.images)
             differences = _measure_differences(images, settings)

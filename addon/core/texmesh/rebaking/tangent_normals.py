@@ -55,8 +55,9 @@ def express_normals(surface: TangentSurface, normals: np.ndarray) -> np.ndarray:
     for texels, (tangents, bitangents, own) in surface.draw_frames((width, height)):
         wanted = flat[texels]
         pairs = ((bitangents, own), (own, tangents), (tangents, bitangents))
-        columns = [np.einsum("nc,nc->n", wanted, np.cross(*pair)) for pair in pairs]  # times the determinant of the frame
-        determinant = np.einsum("nc,nc->n", tangents, np.cross(bitangents, own))
+        products = [np.cross(*pair) for pair in pairs]
+        columns = [np.einsum("nc,nc->n", wanted, product) for product in products]  # times the determinant of the frame
+        determinant = np.einsum("nc,nc->n", tangents, products[0])
         found = normalize(np.stack(columns, axis=1) * np.sign(determinant)[:, None])
         found[:, 2] = np.maximum(found[:, 2], MIN_ABOVE)
         vectors[texels] = normalize(found)
