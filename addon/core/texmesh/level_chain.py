@@ -113,6 +113,7 @@ def make_levels(
     release_memory()
     mipmaps = [None if texture is None else build_mipmaps(texture) for texture in textures]
     candidates = yield from subprogress(make_candidates(mesh, scale_map, ratios, settings), 0.35, 0.6)
+    release_memory()
     compared = yield from subprogress(compare_candidates(candidates, mipmaps, settings), 0.6, 0.8)
     yield Progress(0.8, "Choosing levels")
     chosen = choose_candidates(compared, settings)
