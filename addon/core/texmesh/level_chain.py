@@ -11,7 +11,7 @@ import numpy as np
 
 from ..imaging.mipmaps import Mipmaps, build_mipmaps
 from ..jobs.memory import release_memory
-from ..jobs.progress import Progress, Steps, subprogress
+from ..jobs.progress import Progress, Result, Steps, subprogress
 from .level_candidates import Candidate, Candidates, make_candidates, parse_ratios
 from .level_choices import AS_MANY_AS_ASKED, MIN_PIXELS, ComparedCandidates, choose_candidates, compare_candidates, count_bytes, view_levels
 from .perception.level_images import LevelImages, measure_difference
@@ -109,25 +109,29 @@ def make_levels(
     """
     ratios = parse_ratios(settings.ratios) if settings.levels == "ratios" else []
     if scale_map is None:
-        scale_map = yield from subprogress(analyze_scale_space(mesh, textures, settings), 0.0, 0.35)
-    release_memory()
+        scale_map = yield from _run_stage(analyze_scale_space(mesh, textures, settings), 0.0, 0.35)
     mipmaps = [None if texture is None else build_mipmaps(texture) for texture in textures]
-    candidates = yield from subprogress(make_candidates(mesh, scale_map, ratios, settings), 0.35, 0.6)
-    release_memory()
-    compared = yield from subprogress(compare_candidates(candidates, mipmaps, settings), 0.6, 0.8)
+    candidates = yield from _run_stage(make_candidates(mesh, scale_map, ratios, settings), 0.35, 0.6)
+    compared = yield from _run_stage(compare_candidates(candidates, mipmaps, settings), 0.6, 0.8)
     yield Progress(0.8, "Choosing levels")
     chosen = choose_candidates(compared, settings)
-    release_memory()
     finish = _optimize if candidates.is_optimized else _keep
-    kept, images = yield from subprogress(finish(candidates, compared, chosen, mipmaps, settings), 0.8, 0.95)
+    kept, images = yield from _run_stage(finish(candidates, compared, chosen, mipmaps, settings), 0.8, 0.95)
     find_shown = _show_all if settings.levels in AS_MANY_AS_ASKED else _show_visible
-    shown, switches = yield from subprogress(find_shown(images, settings), 0.95, 1.0)
+    shown, switches = yield from _run_stage(find_shown(images, settings), 0.95, 1.0)
     levels = [_to_level(kept[index], switch, settings.distance_factor) for index, switch in zip(shown, [None, *switches], strict=True)]
     tried = tuple(
         (len(item.mesh.triangles), settings.distance_factor * size) for item, size in zip(compared.items, compared.pixel_sizes, strict=True)
     )
     sizes = images[0].frame.side, settings.distance_factor
     return LevelChain(tuple(levels), scale_map, compared.impacts, candidates.simplification, tried, *sizes)
+
+
+def _run_stage(steps: Steps[Result], start: float, stop: float) -> Steps[Result]:
+    """Run a part of the work, see `subprogress`, and give back the memory that it leaves."""
+    result = yield from subprogress(steps, start, stop)
+    release_memory()
+    return result
 
 
 def _keep(
