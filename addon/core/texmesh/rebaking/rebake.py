@@ -200,7 +200,7 @@ def _encode(values: np.ndarray, content: Content, original: bytes, has_webp: boo
 
 
 def _encode_pixels(pixels: np.ndarray, quality: int, original: bytes, has_webp: bool) -> bytes:
-    is_gray = pixels.shape[2] == 3 and (np.ptp(pixels, axis=2) == 0).all()
+    is_gray = pixels.shape[2] == 3 and (pixels == pixels[..., :1]).all()
     if original.startswith(JPEG_START) and pixels.shape[2] == 3:
         files = [encode(pixels, "jpeg", quality)]
     else:

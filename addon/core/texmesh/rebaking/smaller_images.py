@@ -55,7 +55,7 @@ def shrink_image(
         shrunk = shrink_by_area(shrunk, size)
         values = _divide(shrunk[..., :3], shrunk[..., 3])
         if content is Content.NORMAL:
-            values = normalize(values).astype(np.float32)
+            values = normalize(values).astype(np.float32, copy=False)
         yield np.concatenate([values, _divide(shrunk[..., 4:5], shrunk[..., 5])], axis=2) if has_alpha else values
 
 
@@ -70,13 +70,17 @@ def _shrink_strip(pixels: np.ndarray, coverage: np.ndarray | None, content: Cont
 
 def to_pixels(values: np.ndarray, content: Content) -> np.ndarray:
     """Return values from `shrink_image` as the pixels (H, W, 3 or 4) uint8 of a file. Opaque pixels have no alpha."""
+    pixels = np.concatenate([_encode(values[strip], content) for strip in slices(len(values), STRIP_ROWS)])
+    return pixels[..., :3] if pixels.shape[2] == 4 and (pixels[..., 3] == 255).all() else pixels
+
+
+def _encode(values: np.ndarray, content: Content) -> np.ndarray:
     colors, alpha = values[..., :3], values[..., 3:]
     if content is Content.NORMAL:
         colors = 0.5 + 0.5 * colors
     elif content is not Content.DATA:
         colors = encode_signed_srgb(colors)
-    pixels = to_bytes(np.concatenate([colors, alpha], axis=2))
-    return pixels[..., :3] if pixels.shape[2] == 4 and (pixels[..., 3] == 255).all() else pixels
+    return to_bytes(np.concatenate([colors, alpha], axis=2))
 
 
 def _divide(sums: np.ndarray, weights: np.ndarray) -> np.ndarray:

@@ -65,7 +65,7 @@ def express_normals(surface: TangentSurface, normals: np.ndarray) -> np.ndarray:
         known[texels] = determinant != 0.0
     if not known.any():
         vectors[:] = (0.0, 0.0, 1.0)
-    return normalize(dilate(vectors.reshape(height, width, 3), known.reshape(height, width))).astype(np.float32)
+    return normalize(dilate(vectors.reshape(height, width, 3), known.reshape(height, width))).astype(np.float32, copy=False)
 
 
 def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
