@@ -117,6 +117,8 @@ def make_levels(
     chosen = choose_candidates(compared, settings)
     finish = _optimize if candidates.is_optimized else _keep
     kept, images = yield from _run_stage(finish(candidates, compared, chosen, mipmaps, settings), 0.8, 0.95)
+    simplification = candidates.simplification
+    del candidates  # Their trees for searches are large.
     find_shown = _show_all if settings.levels in AS_MANY_AS_ASKED else _show_visible
     shown, switches = yield from _run_stage(find_shown(images, settings), 0.95, 1.0)
     levels = [_to_level(kept[index], switch, settings.distance_factor) for index, switch in zip(shown, [None, *switches], strict=True)]
@@ -124,7 +126,7 @@ def make_levels(
         (len(item.mesh.triangles), settings.distance_factor * size) for item, size in zip(compared.items, compared.pixel_sizes, strict=True)
     )
     sizes = images[0].frame.side, settings.distance_factor
-    return LevelChain(tuple(levels), scale_map, compared.impacts, candidates.simplification, tried, *sizes)
+    return LevelChain(tuple(levels), scale_map, compared.impacts, simplification, tried, *sizes)
 
 
 def _run_stage(steps: Steps[Result], start: float, stop: float) -> Steps[Result]:
