@@ -53,3 +53,12 @@ def test_resizing_by_area_keeps_means():
     for size in (1, 5, 17, 24):
         resized = resize_by_area(image, size)
         assert resized.shape == (size, size, 2) and np.abs(resized.mean(axis=(0, 1)) - image.mean(axis=(0, 1))).max() < 1e-6
+
+
+def test_halving_ends_at_the_smallest_side_that_is_asked_for():
+    texture = np.random.default_rng(5).random((12, 20, 3)).astype(np.float32)
+    complete = build_mipmaps(texture)
+    for min_side, count in ((20, 1), (10, 2), (5, 3)):
+        mipmaps = build_mipmaps(texture, min_side=min_side)
+        assert len(mipmaps.sizes) == count
+        assert all((mipmaps.level(index) == complete.level(index)).all() for index in range(count))

@@ -10,7 +10,7 @@ from farfield.addon.core.files.glb import Document
 from farfield.addon.core.files.glb_levels import merge_images
 from farfield.addon.core.imaging.coded_images import decode, encode
 from farfield.addon.core.imaging.colors import decode_signed_srgb, encode_signed_srgb
-from farfield.addon.core.texmesh.rebaking import image_sizes
+from farfield.addon.core.texmesh.rebaking import image_sizes, smaller_images
 from farfield.addon.core.texmesh.rebaking.rebake import rebake_images
 from farfield.addon.core.texmesh.rebaking.smaller_images import Content, shrink_image, to_pixels
 from farfield.addon.core.texmesh.rebaking.tangent_normals import TangentSurface, express_normals, find_normals
@@ -266,6 +266,19 @@ def test_sides_that_are_no_powers_of_two_are_rounded_up():
     pixels = np.full((333, 1000, 3), 77, np.uint8)
     (values,) = shrink_image(pixels, None, Content.DATA, [(250, 84)])
     assert values.shape == (84, 250, 3) and (to_pixels(values, Content.DATA) == 77).all()
+
+
+@pytest.mark.parametrize("size", [(1000, 333), (256, 1024)])
+@pytest.mark.parametrize("content", [Content.DATA, Content.COLOR, Content.TRANSPARENT_COLOR, Content.NORMAL])
+def test_strips_of_rows_give_the_images_of_all_rows_at_once(monkeypatch, size, content):
+    random = np.random.default_rng(3)
+    pixels = random.integers(0, 256, (size[1], size[0], 4)).astype(np.uint8)
+    coverage, smaller = random.random(size[::-1]) < 0.7, [image_sizes.halve_size(size, 1), image_sizes.halve_size(size, 3)]
+    found = []
+    for rows in (10_000, 16):
+        monkeypatch.setattr(smaller_images, "STRIP_ROWS", rows)
+        found.append([to_pixels(values, content) for values in shrink_image(pixels, coverage, content, smaller)])
+    assert all((first == second).all() for first, second in zip(*found, strict=True))
 
 
 def uvs_of(cells: int, low: float, high: float) -> np.ndarray:

@@ -23,6 +23,7 @@ from farfield.addon.core.texmesh.refitting.level_state import LevelState, attach
 from farfield.addon.core.texmesh.refitting.outliers import FineSurface
 from farfield.addon.core.texmesh.refitting.refit import refit, sum_costs
 from farfield.addon.core.texmesh.settings import TexmeshSettings
+from farfield.addon.core.texmesh.simplification import levels
 from farfield.addon.core.texmesh.simplification.levels import extract_level, simplify_by_cost
 from farfield.addon.core.texmesh.simplification.topology import find_islands
 from farfield.addon.core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
@@ -117,6 +118,18 @@ def test_levels_that_the_refit_made_worse_keep_their_vertices(monkeypatch, is_sp
     chain = run_to_end(level_chain.make_levels(mesh, [checkered(16)], settings))
     are_kept = (chain.levels[1].mesh.vertices[:, None] == mesh.vertices).all(axis=2).any(axis=1)
     assert are_kept.all() == is_spiked and chain.levels[1].is_moved != is_spiked
+
+
+@pytest.mark.parametrize(("order", "count"), [("visibility", 1), ("scale", 2)])
+def test_optimized_levels_are_simplified_once(monkeypatch, order, count):
+    engines = []
+    make_engine = levels.CollapseEngine
+    monkeypatch.setattr(levels, "CollapseEngine", lambda *values, **named: engines.append(make_engine(*values, **named)) or engines[-1])
+    settings = TexmeshSettings(levels="ratios", ratios="0.4", views=2, max_image=32, removal_order=order)
+    mesh = textured_sphere(12)
+    chain = run_to_end(level_chain.make_levels(mesh, [checkered(16)], settings))
+    assert len(engines) == count
+    assert len(chain.levels) == 2 and len(chain.levels[1].mesh.triangles) <= round(0.4 * len(mesh.triangles))
 
 
 def test_levels_without_texture_coordinates_are_refitted_in_space():

@@ -6,9 +6,10 @@ from scipy.spatial import cKDTree
 from ..arrays import concatenate_ranges
 from ..jobs.chunks import slices
 
-MAX_LEAF_TRIANGLES = 4
+MAX_LEAF_TRIANGLES = 2
 CHUNK_POINTS = 4096  # points or tests at once: fits the cache of a CPU core
 MAX_PIECES = 400_000
+FIRST_PIECES = 1000  # Triangles whose distances are measured first; those of most others need not be known exactly then.
 MIN_SQUARED_SINE = 1e-14  # Corners below make a triangle a segment: dot products cannot resolve its plane.
 
 
@@ -30,8 +31,9 @@ class TriangleTree:
 
     def __init__(self, corners: np.ndarray) -> None:
         self.corners = corners
-        self._levels, self._order = _build_aabb_tree(corners)
         self._centroids = cKDTree(corners.mean(axis=1))
+        self._order = self._centroids.indices
+        self._levels = _build_boxes(corners, self._order)
 
     def find_closest(self, points: np.ndarray, enough: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Return the distances (N,) of `points` (N, 3) and the indices (N,) of the nearest triangles, see `closest_on_mesh`.
@@ -97,8 +99,9 @@ def closest_on_triangles(points: np.ndarray, corners: np.ndarray) -> tuple[np.nd
 
     The closest point is found from dot products; its distance is then computed from the vector, without cancellation.
     """
-    ab, ac, ap = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], points - corners[:, 0]
-    bb, bc, cc, bp, cp = (np.einsum("ij,ij->i", first, second) for first, second in ((ab, ab), (ab, ac), (ac, ac), (ab, ap), (ac, ap)))
+    origin, *others = (np.ascontiguousarray(values.T) for values in (corners[:, 0], corners[:, 1], corners[:, 2], points))
+    ab, ac, ap = (values - origin for values in others)
+    bb, bc, cc, bp, cp = (_dot(first, second) for first, second in ((ab, ab), (ab, ac), (ac, ac), (ab, ap), (ac, ap)))
     opposite = bb + cc - 2.0 * bc
     zero = np.zeros(len(points))
     on_ab, on_ac = _segment_fraction(bp, bb), _segment_fraction(cp, cc)
@@ -114,8 +117,16 @@ def closest_on_triangles(points: np.ndarray, corners: np.ndarray) -> tuple[np.nd
     is_inside = (scaled_b >= 0.0) & (scaled_c >= 0.0) & (scaled_b + scaled_c <= area_squared) & ~is_degenerate
     scale = np.where(is_degenerate, 1.0, area_squared)
     best_b, best_c = np.where(is_inside, scaled_b / scale, best_b), np.where(is_inside, scaled_c / scale, best_c)
-    offset = ap - best_b[:, None] * ab - best_c[:, None] * ac
-    return np.einsum("ij,ij->i", offset, offset), best_b, best_c
+    offset = ap - best_b * ab - best_c * ac
+    return _dot(offset, offset), best_b, best_c
+
+
+def _dot(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the dot products (N,) of vectors (3, N), column by column: NumPy reduces short axes slowly."""
+    products = first[0] * second[0]
+    products += first[2] * second[2]
+    products += first[1] * second[1]
+    return products
 
 
 def _segment_fraction(dot: np.ndarray, length_squared: np.ndarray) -> np.ndarray:
@@ -163,7 +174,8 @@ def bound_hausdorff(
     bound it from below. Faces whose bounds differ are subdivided until they agree up to `tolerance`, or until there would be more than
     `max_pieces`.
     """
-    largest, pieces = minimum, corners
+    some = corners[:: max(len(corners) // FIRST_PIECES, 1)]
+    largest, pieces = max(minimum, float(target.find_closest(some.mean(axis=1), minimum)[0].max(initial=0.0))), corners
     while True:
         lower, upper = _distance_bounds(pieces, target, largest + tolerance, tolerance)
         largest = max(largest, float(lower.max()))
@@ -223,25 +235,18 @@ def _subdivide(corners: np.ndarray) -> np.ndarray:
     return np.concatenate([np.stack(piece, axis=1) for piece in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
 
 
-def _build_aabb_tree(corners: np.ndarray) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray]:
-    """Return the boxes (2^l, 3) low and high of every level l, and the order (T,) of the triangles: node k of 2^l contains those at
-    k T / 2^l to (k + 1) T / 2^l."""
+def _build_boxes(corners: np.ndarray, order: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return the boxes (2^l, 3) low and high of every level l. Node k of 2^l contains the triangles number k T / 2^l to (k + 1) T / 2^l in
+    `order` (T,), in which those that are near each other follow each other, as in the halves of a k-d tree."""
     count = len(corners)
     depth = max(0, int(np.log2(count / MAX_LEAF_TRIANGLES))) if count > MAX_LEAF_TRIANGLES else 0
-    low, high, centers = corners.min(axis=1), corners.max(axis=1), corners.mean(axis=1)
-    order = np.arange(count)
-    for level in range(depth):
-        starts = _node_starts(count, level)
-        node = np.repeat(np.arange(2**level), np.diff(starts))
-        ordered = centers[order]
-        extent = np.maximum.reduceat(ordered, starts[:-1]) - np.minimum.reduceat(ordered, starts[:-1])
-        split_axis = extent.argmax(axis=1)[node]
-        order = order[np.lexsort((ordered[np.arange(count), split_axis], node))]
-    levels = []
-    for level in range(depth + 1):
-        starts = _node_starts(count, level)[:-1]
-        levels.append((np.minimum.reduceat(low[order], starts), np.maximum.reduceat(high[order], starts)))
-    return levels, order
+    starts = _node_starts(count, depth)[:-1]
+    first, second, third = (corners[:, corner].take(order, axis=0) for corner in range(3))  # pairwise: NumPy reduces short axes slowly
+    levels = [tuple(bound.reduceat(bound(bound(first, second), third), starts) for bound in (np.minimum, np.maximum))]
+    for _ in range(depth):
+        low, high = levels[-1]
+        levels.append((np.minimum(low[::2], low[1::2]), np.maximum(high[::2], high[1::2])))
+    return levels[::-1]
 
 
 def _node_starts(count: int, level: int) -> np.ndarray:

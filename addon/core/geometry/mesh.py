@@ -51,14 +51,23 @@ class PointCloud:
 
 def scaled_normals(corners: np.ndarray) -> np.ndarray:
     """Return the cross products of the edges, (T, 3): unit normal times twice the area. `corners` is (T, 3, 3)."""
-    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    origins, first, second = (np.array(corners[:, corner].T, order="C") for corner in range(3))  # NumPy is slow along short axes.
+    first -= origins
+    second -= origins
+    normals = np.empty((len(corners), 3), first.dtype)
+    for axis in range(3):
+        following, last = (axis + 1) % 3, (axis + 2) % 3
+        normals[:, axis] = first[following] * second[last] - first[last] * second[following]
+    return normals
 
 
 def face_areas_and_normals(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return areas (T,) and unit normals (T, 3) of the triangles `corners` (T, 3, 3). A zero-area triangle gets a zero normal."""
     normals = scaled_normals(corners)
-    lengths = np.linalg.norm(normals, axis=1)
-    return 0.5 * lengths, normals / np.where(lengths > 0.0, lengths, 1.0)[:, None]
+    x, y, z = normals.T
+    lengths = np.sqrt(x * x + y * y + z * z)
+    normals /= np.where(lengths > 0.0, lengths, 1.0)[:, None]
+    return 0.5 * lengths, normals
 
 
 def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:

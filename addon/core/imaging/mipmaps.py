@@ -31,16 +31,17 @@ class Mipmaps:
         return self.texels[start : start + width * height].reshape(height, width, -1)
 
 
-def build_mipmaps(texture: np.ndarray, values: np.ndarray | None = None) -> Mipmaps:
+def build_mipmaps(texture: np.ndarray, values: np.ndarray | None = None, min_side: int = 1) -> Mipmaps:
     """Return the mipmaps of `texture` (H, W, C), linear values, row 0 at the bottom.
 
     Each texel is the mean of 2 x 2 texels; where a side is odd, the last texel is the mean of what there is.
 
-    values: (256,) float32, the linear value of each byte of a `texture` of uint8, None if it is linear already.
+    values: (256,) float32, the linear value of each byte of a `texture` of uint8, None if it is linear already. min_side: of the longer
+    side, at which halving ends.
     """
     height, width, channels = texture.shape
     sizes = [(width, height)]
-    while max(sizes[-1]) > 1:
+    while max(sizes[-1]) > min_side:
         sizes.append(tuple((side + 1) // 2 for side in sizes[-1]))
     counts = np.array([side * other for side, other in sizes], np.int64)
     starts = np.cumsum(counts) - counts

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import SettingsError
-from ..jobs.parallel_steps import run_in_parallel
-from ..jobs.progress import Steps
+from ..jobs.progress import Steps, subprogress
 from .corner_attributes import CornerAttributes
 from .perception.weber import Collapses
 from .refitting.outliers import FineSurface
@@ -93,13 +92,16 @@ def make_candidates(mesh: TexturedMesh, scale_map: ScaleMap, ratios: Sequence[fl
     is_optimized = settings.vertices == "optimized"
     plain = merge_wedges(mesh) if is_optimized else mesh
     attributes = CornerAttributes(mesh, FineSurface.of(plain)) if is_optimized else None
-    tasks: list[Steps] = [_simplify(plain, scale_map, targets, settings)]
-    if attributes is not None:
-        tasks.append(make_starts(plain, targets, settings))
-    simplification, *starts = yield from run_in_parallel(tasks)
+    starts: Sequence[RefitStart | None] = [None] * len(targets)
+    if is_optimized:
+        simplification, starts = yield from subprogress(make_starts(plain, targets, settings), 0.0, 0.6)
+    if is_optimized and settings.removal_order != "scale":
+        levels = [start.full for start in starts]
+    else:
+        simplification = yield from subprogress(_simplify(plain, scale_map, targets, settings), 0.6 if is_optimized else 0.0, 1.0)
+        levels = simplification.levels
     items = [Candidate(mesh, 0, None)]
-    rows = zip(simplification.levels, scales, starts[0] if starts else [None] * len(targets), strict=True)
-    for level, scale, start in rows:
+    for level, scale, start in zip(levels, scales, starts, strict=True):
         if 0 < len(level.triangles) < len(items[-1].mesh.triangles):
             subset = extract_level(plain, level)
             items.append(Candidate(subset if attributes is None else attributes.add_to(subset), scale, level, start))

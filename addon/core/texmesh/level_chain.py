@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..imaging.mipmaps import Mipmaps, build_mipmaps
-from ..jobs.progress import Progress, Steps, subprogress
+from ..jobs.memory import release_memory
+from ..jobs.progress import Progress, Result, Steps, subprogress
 from .level_candidates import Candidate, Candidates, make_candidates, parse_ratios
 from .level_choices import AS_MANY_AS_ASKED, MIN_PIXELS, ComparedCandidates, choose_candidates, compare_candidates, count_bytes, view_levels
 from .perception.level_images import LevelImages, measure_difference
@@ -108,22 +109,31 @@ def make_levels(
     """
     ratios = parse_ratios(settings.ratios) if settings.levels == "ratios" else []
     if scale_map is None:
-        scale_map = yield from subprogress(analyze_scale_space(mesh, textures, settings), 0.0, 0.35)
+        scale_map = yield from _run_stage(analyze_scale_space(mesh, textures, settings), 0.0, 0.35)
     mipmaps = [None if texture is None else build_mipmaps(texture) for texture in textures]
-    candidates = yield from subprogress(make_candidates(mesh, scale_map, ratios, settings), 0.35, 0.6)
-    compared = yield from subprogress(compare_candidates(candidates, mipmaps, settings), 0.6, 0.8)
+    candidates = yield from _run_stage(make_candidates(mesh, scale_map, ratios, settings), 0.35, 0.6)
+    compared = yield from _run_stage(compare_candidates(candidates, mipmaps, settings), 0.6, 0.8)
     yield Progress(0.8, "Choosing levels")
     chosen = choose_candidates(compared, settings)
     finish = _optimize if candidates.is_optimized else _keep
-    kept, images = yield from subprogress(finish(candidates, compared, chosen, mipmaps, settings), 0.8, 0.95)
+    kept, images = yield from _run_stage(finish(candidates, compared, chosen, mipmaps, settings), 0.8, 0.95)
+    simplification = candidates.simplification
+    del candidates  # Their trees for searches are large.
     find_shown = _show_all if settings.levels in AS_MANY_AS_ASKED else _show_visible
-    shown, switches = yield from subprogress(find_shown(images, settings), 0.95, 1.0)
+    shown, switches = yield from _run_stage(find_shown(images, settings), 0.95, 1.0)
     levels = [_to_level(kept[index], switch, settings.distance_factor) for index, switch in zip(shown, [None, *switches], strict=True)]
     tried = tuple(
         (len(item.mesh.triangles), settings.distance_factor * size) for item, size in zip(compared.items, compared.pixel_sizes, strict=True)
     )
     sizes = images[0].frame.side, settings.distance_factor
-    return LevelChain(tuple(levels), scale_map, compared.impacts, candidates.simplification, tried, *sizes)
+    return LevelChain(tuple(levels), scale_map, compared.impacts, simplification, tried, *sizes)
+
+
+def _run_stage(steps: Steps[Result], start: float, stop: float) -> Steps[Result]:
+    """Run a part of the work, see `subprogress`, and give back the memory that it leaves."""
+    result = yield from subprogress(steps, start, stop)
+    release_memory()
+    return result
 
 
 def _keep(
@@ -160,10 +170,12 @@ def _optimize(
     kept = [original]
     for item, level in zip(others, moved, strict=True):
         yield Progress(0.9, "Comparing levels")
-        choices = [level, item.mesh, extract_level(comparison.surface.mesh, item.start.full)]
+        choices = [level, item.mesh]
+        if item.subset is not item.start.full:
+            choices.append(extract_level(comparison.surface.mesh, item.start.full))
         differences = None
         if len(level.triangles) <= MAX_RENDERED:
-            choices = [add_to(level), item.mesh, add_to(choices[-1])]
+            choices = [mesh if mesh is item.mesh else add_to(mesh) for mesh in choices]
             surfaces = view_levels([replace(item, mesh=mesh) for mesh in choices], mipmaps, settings)
             images = open_images([compared.images[0].surface, *surfaces], settings, compared.images)
             differences = _measure_differences(images, settings)

@@ -12,7 +12,8 @@ from ..settings import TexmeshSettings
 from .views import BACKGROUND, Frame, PlacedSamples, Render, ViewedSurface, place_samples, render, shade
 
 # Renders for images up to a size: samples per side, and the divisor of the number of views. Differences are largest in the same views
-# at all sizes, so that larger images are compared only where smaller ones differ most.
+# at all sizes, so that larger images are compared only where smaller ones differ most. Only images of the first row are so small that they
+# need halved renders.
 TIERS = ((128, 256, 1), (256, 512, 3), (512, 1024, 3), (1024, 2048, 4), (2048, 3072, 4))
 MIN_SAMPLES = 2  # per pixel along each side, where a render has them
 MIN_THREADED_SIZE = 64  # Images of this size or larger are made in several threads; smaller ones are not worth it.
@@ -65,7 +66,8 @@ class LevelImages:
             samples = next(samples for limit, samples, _ in TIERS if size <= limit)
             if (view, samples) not in self.renders:
                 full = self._render(view, samples)
-                self.renders[view, samples] = build_mipmaps(np.concatenate([full.colors, full.coverage[..., None]], axis=2))
+                layers = np.concatenate([full.colors, full.coverage[..., None]], axis=2)
+                self.renders[view, samples] = build_mipmaps(layers, min_side=1 if samples == TIERS[0][1] else samples)
             mipmaps = self.renders[view, samples]
             level = int((mipmaps.sizes[:, 0] >= MIN_SAMPLES * size).sum()) - 1
             layers = resize_by_area(mipmaps.level(max(level, 0)), size)

@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 
 from ...geometry.directions import fibonacci_sphere
+from ...jobs.memory import release_memory
 from ...jobs.progress import Progress, Steps
 from ..settings import TexmeshSettings
 from .level_images import TIERS, Difference, LevelComparison, LevelImages, measure_difference
@@ -141,6 +142,7 @@ class _PairSearch:
         """Release the large images of a level; those of the original, with which other levels may be compared, are kept."""
         if index:
             self._images[index].forget_larger(TIERS[0][0])
+            release_memory()
 
 
 def _search(comparison: LevelComparison, largest: int) -> Switch:

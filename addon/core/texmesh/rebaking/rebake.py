@@ -14,6 +14,7 @@ import numpy as np
 
 from ...errors import ImageError
 from ...imaging.coded_images import JPEG_START, decode, encode, encode_gray
+from ...jobs.memory import release_memory
 from ...messages import quote_names
 from .image_sizes import choose_halvings, halve_size
 from .normal_maps import NormalMaps
@@ -111,6 +112,7 @@ def rebake_images(levels: Sequence[LevelDocument], has_webp: bool) -> list[str]:
 
     has_webp: whether images of all levels are stored as WebP where that needs less bytes.
     """
+    release_memory()
     uses = [list_uses(level) for level in levels]
     chosen: list[dict[int, _NewFile]] = [{} for _ in levels]
     sides: list[set[int]] = [set() for _ in levels]
@@ -198,7 +200,7 @@ def _encode(values: np.ndarray, content: Content, original: bytes, has_webp: boo
 
 
 def _encode_pixels(pixels: np.ndarray, quality: int, original: bytes, has_webp: bool) -> bytes:
-    is_gray = pixels.shape[2] == 3 and (np.ptp(pixels, axis=2) == 0).all()
+    is_gray = pixels.shape[2] == 3 and (pixels == pixels[..., :1]).all()
     if original.startswith(JPEG_START) and pixels.shape[2] == 3:
         files = [encode(pixels, "jpeg", quality)]
     else:

@@ -26,13 +26,16 @@ class TangentSurface:
     tangents: np.ndarray
 
     def draw_frames(self, size: tuple[int, int]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yield texels (N,) of an image, row by row from the bottom, and their frames (3, N, 3): tangents, bitangents and normals."""
+        """Yield texels (N,) of an image, row by row from the bottom, and their frames (3, 3, N): tangents, bitangents and normals."""
         copies, owners = wrap_triangles(self.uvs)
+        corners = [np.ascontiguousarray(values.transpose(1, 2, 0)) for values in (self.normals, self.tangents[..., :3])]
         for rows, texels, barycentric in rasterize(copies * size, size):
             found = owners[rows]
-            normals, tangents = (np.einsum("ni,nic->nc", barycentric, values[found]) for values in (self.normals, self.tangents[..., :3]))
-            signs = self.tangents[found, 0, 3:]
-            yield texels, np.stack([tangents, signs * np.cross(normals, tangents), normals])
+            normals, tangents = (
+                sum(weights * corner.take(found, axis=1) for weights, corner in zip(barycentric.T, values, strict=True))
+                for values in corners
+            )
+            yield texels, np.stack([tangents, self.tangents[found, 0, 3] * _cross(normals, tangents), normals])
 
 
 def find_normals(surface: TangentSurface, vectors: np.ndarray) -> np.ndarray:
@@ -43,7 +46,7 @@ def find_normals(surface: TangentSurface, vectors: np.ndarray) -> np.ndarray:
     height, width = vectors.shape[:2]
     flat, normals, known = vectors.reshape(-1, 3), np.zeros((height * width, 3), np.float32), np.zeros(height * width, bool)
     for texels, frames in surface.draw_frames((width, height)):
-        normals[texels] = normalize(np.einsum("nk,knc->nc", flat[texels], frames))
+        normals[texels] = _normalize(sum(weights * axis for weights, axis in zip(flat[texels].T, frames, strict=True))).T
         known[texels] = True
     return dilate(normals.reshape(height, width, 3), known.reshape(height, width))
 
@@ -53,14 +56,25 @@ def express_normals(surface: TangentSurface, normals: np.ndarray) -> np.ndarray:
     height, width = normals.shape[:2]
     flat, vectors, known = normals.reshape(-1, 3), np.zeros((height * width, 3), np.float32), np.zeros(height * width, bool)
     for texels, (tangents, bitangents, own) in surface.draw_frames((width, height)):
-        wanted = flat[texels]
-        pairs = ((bitangents, own), (own, tangents), (tangents, bitangents))
-        columns = [np.einsum("nc,nc->n", wanted, np.cross(*pair)) for pair in pairs]  # times the determinant of the frame
-        determinant = np.einsum("nc,nc->n", tangents, np.cross(bitangents, own))
-        found = normalize(np.stack(columns, axis=1) * np.sign(determinant)[:, None])
-        found[:, 2] = np.maximum(found[:, 2], MIN_ABOVE)
-        vectors[texels] = normalize(found)
+        wanted = np.ascontiguousarray(flat[texels].T)
+        products = [_cross(*pair) for pair in ((bitangents, own), (own, tangents), (tangents, bitangents))]
+        determinant = (tangents * products[0]).sum(axis=0)
+        found = _normalize(np.sign(determinant) * np.stack([(wanted * product).sum(axis=0) for product in products]))
+        found[2] = np.maximum(found[2], MIN_ABOVE)
+        vectors[texels] = _normalize(found).T
         known[texels] = determinant != 0.0
     if not known.any():
         vectors[:] = (0.0, 0.0, 1.0)
-    return normalize(dilate(vectors.reshape(height, width, 3), known.reshape(height, width))).astype(np.float32)
+    return normalize(dilate(vectors.reshape(height, width, 3), known.reshape(height, width))).astype(np.float32, copy=False)
+
+
+def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the cross products (3, N) of vectors (3, N)."""
+    pairs = ((1, 2), (2, 0), (0, 1))
+    return np.stack([first[following] * second[last] - first[last] * second[following] for following, last in pairs])
+
+
+def _normalize(vectors: np.ndarray) -> np.ndarray:
+    """Return `vectors` (3, N) with length 1; zero stays zero."""
+    lengths = np.sqrt((vectors**2).sum(axis=0))
+    return vectors / np.where(lengths > 0.0, lengths, 1.0)

@@ -24,14 +24,14 @@ def wrap_triangles(corner_uvs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def find_coverage(corner_uvs: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Return 1 at the texels (H, W) float32 of an image with `size`, width and height, that triangles (T, 3, 2) cover, 0 at the others.
+    """Return which texels (H, W) bool of an image with `size`, width and height, triangles (T, 3, 2) cover.
     Where a triangle repeats the image many times, all are covered."""
-    coverage = np.zeros(size[0] * size[1], np.float32)
+    coverage = np.zeros(size[0] * size[1], bool)
     if (_find_tiles(corner_uvs)[1] > MAX_TILES).any():
-        coverage[:] = 1.0
+        coverage[:] = True
     else:
         for _, texels, _ in rasterize(wrap_triangles(corner_uvs)[0] * size, size):
-            coverage[texels] = 1.0
+            coverage[texels] = True
     return coverage.reshape(size[1], size[0])
 
 

@@ -16,6 +16,7 @@ from .correspondence import SurfaceSamples, sample_surface
 from .outliers import FineSurface
 
 SAMPLES = 20_000  # Points of the fine mesh.
+SPARSE = 16  # One sample of so many is measured first; most of the others are not farther.
 QUANTILE = 0.99  # Of the deviations of the texture, since points whose island a level lacks have none.
 MAX_RATIO = 1.25  # A level is preferred if its deviations are at most this multiple of those of the others.
 MAX_DIFFERENCE_RATIO, MIN_DIFFERENCE = 1.05, 1e-3  # The same for FLIP; differences far below the second number do not count.
@@ -53,9 +54,12 @@ class LevelComparison:
         """Return the largest distance that is found between the surfaces, from both sides, and the distance of points with equal texture
         coordinates that one in a hundred exceeds."""
         state = self.surface.attach(level, self._samples, normal_weight=1.0)
-        from_fine = float(TriangleTree(state.corners).find_closest(self._samples.positions)[0].max())
+        deviations, tree = np.linalg.norm(state.residuals, axis=1), TriangleTree(state.corners)
+        from_fine = float(tree.find_closest(self._samples.positions[::SPARSE])[0].max())
+        rows = np.flatnonzero(deviations > from_fine)  # No distance is larger than that between equal texture coordinates.
+        from_fine = max(from_fine, float(tree.find_closest(self._samples.positions[rows], from_fine)[0].max(initial=0.0)))
         largest = self._bound(level, from_fine, FEW_PIECES)[0]
-        return largest, float(np.quantile(np.linalg.norm(state.residuals, axis=1), QUANTILE))
+        return largest, float(np.quantile(deviations, QUANTILE))
 
     def bound_distance(self, level: TexturedMesh) -> float:
         """Return a distance from the fine mesh that no point of `level` exceeds."""

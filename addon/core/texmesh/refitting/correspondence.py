@@ -270,6 +270,8 @@ def match_islands(samples: SurfaceSamples, materials: np.ndarray, level: Texture
 
     samples: dense, of the fine mesh. materials: (N,) of the samples. uv_scale: length of a unit of UV space on the surface.
     """
+    if (samples.islands == samples.islands[0]).all():
+        return np.full(len(level.triangles), samples.islands[0])
     spacing = 4.0 * (np.ptp(samples.positions, axis=0).sum() + uv_scale * np.ptp(samples.uvs, axis=0).sum())
     keys = np.column_stack([samples.positions, uv_scale * samples.uvs, spacing * materials])
     positions = np.einsum("pi,tic->tpc", LABEL_POINTS, level.vertices[level.triangles])

@@ -12,7 +12,7 @@ import numpy as np
 from ...jobs.parallel_steps import run_in_parallel
 from ...jobs.progress import Progress, Steps
 from ..settings import TexmeshSettings
-from ..simplification.levels import SubsetLevel, extract_level, simplify_by_cost
+from ..simplification.levels import Simplification, SubsetLevel, extract_level, simplify_by_cost
 from ..textured_mesh import TexturedMesh
 from .border_curves import BorderCurves, Freedom, find_border_curves, find_freedom, move_uvs
 from .correspondence import sample_surface
@@ -73,13 +73,13 @@ class RefitStart:
     full: SubsetLevel
 
 
-def make_starts(fine: TexturedMesh, targets: list[int], settings: TexmeshSettings) -> Steps[list[RefitStart]]:
-    """Return where the refits of levels with `targets` triangles start."""
+def make_starts(fine: TexturedMesh, targets: list[int], settings: TexmeshSettings) -> Steps[tuple[Simplification, list[RefitStart]]]:
+    """Return the simplification that makes them, and where the refits of levels with `targets` triangles start."""
     reduced = [max(round((1.0 - TUNING.split_fraction) * target), 1) for target in targets]
     counts = sorted({*targets, *reduced}, reverse=True)
     result = yield from simplify_by_cost(fine, lambda mesh, _: DeviationQuadrics(mesh, TUNING.normal_weight), counts, settings)
     levels = dict(zip(counts, result.levels, strict=True))
-    return [RefitStart(target, levels[count], levels[target]) for target, count in zip(targets, reduced, strict=True)]
+    return result, [RefitStart(target, levels[count], levels[target]) for target, count in zip(targets, reduced, strict=True)]
 
 
 def refit_starts(surface: FineSurface, starts: Sequence[RefitStart], iterations: int = TUNING.iterations) -> Steps[list[TexturedMesh]]:

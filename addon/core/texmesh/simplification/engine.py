@@ -191,6 +191,7 @@ class CollapseEngine:
         self.topology: Topology = build_topology(
             self.triangles, self.wedges, self.groups, self.is_locked, self.frees_ends, self.crosses_seams
         )
+        self._island_counts = np.bincount(self.islands, minlength=1)
 
     def find_moves(self, collapses: Collapses) -> WedgeMoves:
         """Return what `collapses` do to wedges."""
@@ -206,7 +207,7 @@ class CollapseEngine:
         twins = self.topology.twins[halfedges]
         first = self.islands[halfedges % self.triangle_count]
         second = np.where(twins >= 0, self.islands[twins % self.triangle_count], np.int32(-1))
-        counts = np.bincount(self.islands, minlength=1)
+        counts = self._island_counts
         is_first = counts[first] == 1 + (first == second)
         is_second = (second >= 0) & (second != first) & (counts[np.maximum(second, 0)] == 1)
         return np.stack([np.where(is_first, first, -1), np.where(is_second, second, -1)])
