@@ -19,7 +19,7 @@ from .perception.switch_distances import MIN_IMAGE, Switch, find_shown_levels, f
 from .perception.weber import Impacts
 from .refitting.comparison import LevelComparison
 from .refitting.outliers import FineSurface
-from .refitting.refit import refit_starts
+from .refitting.refit import make_starts, refit_starts
 from .scale_space.analysis import analyze_scale_space
 from .scale_space.features import ScaleMap
 from .settings import TexmeshSettings
@@ -162,26 +162,39 @@ def _optimize(
 ) -> Steps[tuple[list[Candidate], list[LevelImages]]]:
     """Return the `chosen` candidates with positions and texture coordinates that deviate least from the original, and their images. Where
     an optimized level is farther from the original, or looks less like it, than the candidate or the level that the optimization began
-    with, that one is taken."""
+    with, that one is taken. For small meshes, another optimization begins with levels in which all triangles counted alike."""
     del compared.images[1:]  # The optimization needs their memory.
     original, *others = (compared.items[index] for index in chosen)
-    comparison, add_to = LevelComparison(candidates.attributes.surface), candidates.attributes.add_to
-    moved = yield from refit_starts(comparison.surface, [item.start for item in others])
+    surface, add_to = candidates.attributes.surface, candidates.attributes.add_to
+    comparison, tries = LevelComparison(surface), [[item.start for item in others]]
+    if len(surface.mesh.triangles) <= MAX_RENDERED:
+        targets = [item.start.target for item in others]
+        tries.append((yield from make_starts(surface.mesh, targets, settings, area_power=0.0))[1])
+    refits = []
+    for starts in tries:
+        refits.append((yield from refit_starts(surface, starts)))
     kept = [original]
-    for item, level in zip(others, moved, strict=True):
+    for index, item in enumerate(others):
         yield Progress(0.9, "Comparing levels")
-        choices = [level, item.mesh]
+        moved = [(refit[index], starts[index].full) for refit, starts in zip(refits, tries, strict=True)]
+        limit = max(len(moved[0][0].triangles), item.start.target)
+        options = [option for option in moved if len(option[0].triangles) <= limit]
+        moved_count = len(options)
+        options.append((item.mesh, item.subset))
         if item.subset is not item.start.full:
-            choices.append(extract_level(comparison.surface.mesh, item.start.full))
+            options.append((extract_level(surface.mesh, item.start.full), item.start.full))
+        meshes, subsets = zip(*options, strict=True)
         differences = None
-        if len(level.triangles) <= MAX_RENDERED:
-            choices = [mesh if mesh is item.mesh else add_to(mesh) for mesh in choices]
-            surfaces = view_levels([replace(item, mesh=mesh) for mesh in choices], mipmaps, settings)
+        if len(item.mesh.triangles) <= MAX_RENDERED:
+            meshes = [mesh if mesh is item.mesh else add_to(mesh) for mesh in meshes]
+            surfaces = view_levels([replace(item, mesh=mesh) for mesh in meshes], mipmaps, settings)
             images = open_images([compared.images[0].surface, *surfaces], settings, compared.images)
             differences = _measure_differences(images, settings)
-        best = comparison.choose(choices, differences)
-        mesh = choices[best] if differences is not None or choices[best] is item.mesh else add_to(choices[best])
-        kept.append(replace(item, mesh=mesh, distance=comparison.bound_distance(mesh), is_moved=best != 1))
+        best = comparison.choose(meshes, differences)
+        mesh = meshes[best] if differences is not None or meshes[best] is item.mesh else add_to(meshes[best])
+        kept.append(
+            replace(item, mesh=mesh, subset=subsets[best], distance=comparison.bound_distance(mesh), is_moved=best < moved_count)
+        )
     surfaces = [compared.images[0].surface, *view_levels(kept[1:], mipmaps, settings)]
     return kept, open_images(surfaces, settings, compared.images)
 
