@@ -5,7 +5,7 @@ collapses onto the first of its neighbors that the guards accept. A vertex that 
 For each collapse it is recorded how much it is seen (section IV.B of the paper).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -44,6 +44,11 @@ class PerceptualValues:
         """vertices: (V, 3)."""
         self._positions = np.ascontiguousarray(vertices.T)
         self._absorbed = np.zeros(len(vertices))
+
+    def append(self, vertices: np.ndarray) -> None:
+        """Append copies of `vertices` (N,)."""
+        self._positions = np.concatenate([self._positions, self._positions[:, vertices]], axis=1)
+        self._absorbed = np.concatenate([self._absorbed, self._absorbed[vertices]])
 
     def estimate(self, topology: Topology, vertices: np.ndarray) -> np.ndarray:
         """Return what the removal of `vertices` (N,) would be seen as, whatever they collapse onto: cumulated distances to
@@ -97,6 +102,24 @@ def _measure_curve_distances(positions: np.ndarray, topology: Topology, vertices
     return np.sqrt(((offset - fraction * direction) ** 2).sum(axis=0))
 
 
+@dataclass(frozen=True)
+class Copies:
+    """Vertices and wedges that are appended to those of a `CollapseEngine`.
+
+    Attributes:
+        vertices: (N,) int32, those that the new ones are copies of.
+        wedges: (M,) int32, likewise.
+        homes: (M,) int32, the vertices of the new wedges.
+        is_blank: whether the new wedges stand for no part of the fine surface, and only have the texture coordinates and attributes of
+            those that they are copies of.
+    """
+
+    vertices: np.ndarray
+    wedges: np.ndarray
+    homes: np.ndarray
+    is_blank: bool
+
+
 class RemovalOrder(Protocol):
     """The order in which vertices are removed, and onto which neighbors."""
 
@@ -117,6 +140,9 @@ class RemovalOrder(Protocol):
 
     def mark_changed(self, vertices: np.ndarray) -> None:
         """Take note of `vertices` (N,) whose triangles have changed."""
+
+    def append(self, copies: Copies) -> None:
+        """Take note of vertices and wedges that are appended."""
 
 
 @dataclass(frozen=True)
@@ -260,6 +286,44 @@ class CollapseEngine:
         )
         self._is_waiting[:] = False
         self.rebuild()
+
+    def divide(self, corners: np.ndarray, order: RemovalOrder) -> None:
+        """Divide the surface: give `corners` (N,), halfedges that begin there, vertices and wedges of their own, at the same place."""
+        vertices, own_vertices = np.unique(self.topology.starts[corners], return_inverse=True)
+        wedges, first, own_wedges = np.unique(self.topology.wedges[corners], return_index=True, return_inverse=True)
+        own_vertices, own_wedges = own_vertices + len(self.reasons), own_wedges + len(self.groups)
+        self._append(Copies(vertices, wedges, own_vertices[first].astype(np.int32), is_blank=False), order)
+        self.triangles.reshape(-1)[corners], self.wedges.reshape(-1)[corners] = own_vertices, own_wedges
+        self.rebuild()
+        order.mark_changed(np.unique(self.triangles[:, corners % self.triangle_count]))
+
+    def add_wedges(self, wedges: np.ndarray, vertices: np.ndarray, order: RemovalOrder) -> np.ndarray:
+        """Return new wedges at `vertices`, with the texture coordinates and attributes of `wedges`, all of the same shape, int32."""
+        first = len(self.groups)
+        self._append(Copies(np.zeros(0, np.int32), wedges.reshape(-1), vertices.reshape(-1), is_blank=True), order)
+        return np.arange(first, len(self.groups), dtype=np.int32).reshape(wedges.shape)
+
+    def _append(self, copies: Copies, order: RemovalOrder) -> None:
+        vertices, wedges = copies.vertices, copies.wedges
+        groups = np.arange(len(wedges)) if copies.is_blank else np.unique(self.groups[wedges], return_inverse=True)[1]
+        self.groups = np.concatenate([self.groups, self.groups.max(initial=-1) + 1 + groups]).astype(self.groups.dtype)
+        mesh, surface = self.mesh, self.surface
+        self.mesh = replace(
+            mesh,
+            vertices=np.concatenate([mesh.vertices, mesh.vertices[vertices]]),
+            wedge_vertices=np.concatenate([mesh.wedge_vertices, copies.homes]),
+            uvs=np.concatenate([mesh.uvs, mesh.uvs[wedges]]),
+            attributes=np.concatenate([mesh.attributes, mesh.attributes[wedges]]),
+        )
+        columns = ((surface.positions, vertices), (surface.normals, vertices), (surface.uvs, wedges))
+        self.surface = Surface(*(np.concatenate([values, values[:, rows]], axis=1) for values, rows in columns))
+        self.fine_wedges = np.concatenate([self.fine_wedges, self.fine_wedges[wedges]])
+        per_vertex = (self.fine_vertices, self.is_locked, self.reasons, self._is_waiting)
+        self.fine_vertices, self.is_locked, self.reasons, self._is_waiting = (
+            np.concatenate([values, values[vertices]]) for values in per_vertex
+        )
+        self.perceptual.append(vertices)
+        order.append(copies)
 
     def _choose_independent(self, window: np.ndarray) -> np.ndarray:
         """Return some vertices of `window` (N,) that share no triangle, in order."""

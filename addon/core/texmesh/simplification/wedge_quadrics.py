@@ -5,7 +5,7 @@ import numpy as np
 from ...geometry.mesh import face_areas_and_normals, longest_side
 from ...jobs.chunks import slices
 from ..textured_mesh import TexturedMesh
-from .engine import WedgeMoves
+from .engine import Copies, WedgeMoves
 from .topology import Collapses, find_islands
 
 ROWS, COLUMNS = np.triu_indices(6)
@@ -47,6 +47,21 @@ class WedgeQuadrics:
         """See `CollapseCost`. The planes that the wedges stand for stay with the vertices."""
         np.add.at(self._vertex_planes, vertices, self._planes[wedges])
         self._has_vertex_planes |= len(wedges) > 0
+
+    def append(self, copies: Copies) -> None:
+        """See `RemovalOrder`. Copies of wedges stand for the same triangles."""
+        vertices, wedges = copies.vertices, copies.wedges
+        self._positions, self._vertex_planes = (
+            np.concatenate([values, values[vertices]]) for values in (self._positions, self._vertex_planes)
+        )
+        points = np.column_stack([self._positions[copies.homes], self._points[wedges, 3:]])
+        self._points = np.concatenate([self._points, points])
+        self._monomials = np.concatenate([self._monomials, _list_monomials(points)])
+        columns = (self._quadrics, self._planes, self._areas, self._own_costs)
+        factor = 0.0 if copies.is_blank else 1.0
+        self._quadrics, self._planes, self._areas, self._own_costs = (
+            np.concatenate([values, factor * values[wedges]]) for values in columns
+        )
 
     def merge_wedges(self, removed: np.ndarray, kept: np.ndarray) -> None:
         """Add the quadrics of wedges (N,) to those that take their place."""
