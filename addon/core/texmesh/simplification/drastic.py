@@ -13,22 +13,19 @@ from ..settings import TexmeshSettings
 from ..textured_mesh import group_by_texture
 from .collapse_fans import measure_uv_quality
 from .engine import CollapseEngine, RemovalOrder
-from .topology import BOUNDARY, Topology, label_connected
-from .tunnels import choose_tunnels, find_left_corners, find_loops
+from .openings import choose_tunnels, find_holes, find_loops, find_side, list_sides
+from .topology import label_connected
 
 MAX_LOCKED_FRACTION = 0.25  # If more of the vertices of a level are locked, what can be unlocked is unlocked before all others are gone.
 SMALLEST_FRACTION = 0.5  # Components below this fraction of the size of small ones are dropped before triangles fold.
 LARGER_FACTOR = 2.0  # Triangles up to this multiple of the size of small ones fold before larger components are dropped.
 MIN_FILL_QUALITY = 1e-3  # in texture space, of triangles that close holes
 SIMPLEST_COUNT = 4  # Components of at most so many triangles, such as tetrahedra, are dropped at last whatever their size.
-TRIANGLES_PER_TUNNEL = 12  # About so many triangles are no longer needed when a tunnel is closed.
+TRIANGLES_PER_HOLE, TRIANGLES_PER_TUNNEL = 4, 12  # About so many triangles are no longer needed when one is closed.
 
 
 class DrasticSteps:
-    """The steps for one engine, and sentences about what they did.
-
-    A hole is three halfedges at it, in the order in which their starts are the corners of a triangle that closes it.
-    """
+    """The steps for one engine, and sentences about what they did."""
 
     def __init__(self, engine: CollapseEngine, order: RemovalOrder, settings: TexmeshSettings) -> None:
         self._engine, self._order, self._settings = engine, order, settings
@@ -56,13 +53,12 @@ class DrasticSteps:
             self._unlock_attributes,
             self._free_seam_ends,
             self._unlock_touching_surfaces,
-            self._close_holes,
-            self._close_tunnels,
+            self._close_openings,
             self._drop_smallest_components,
             self._fold_small_triangles,
-            self._close_larger_tunnels,
+            self._close_larger_openings,
             self._fold_larger_triangles,
-            self._close_all_tunnels,
+            self._close_all_openings,
             self._fold_all_triangles,
             self._drop_components,
             self._drop_islands,
@@ -83,7 +79,7 @@ class DrasticSteps:
             ("Seams of normals, colors or other attributes were unlocked at {}.", self._unlocked_vertices, "vertex", "vertices"),
             ("{} of seams could collapse.", self._freed_ends, "end", "ends"),
             ("Surfaces that touch at edges were simplified separately at {}.", self._separated_vertices, "vertex", "vertices"),
-            ("{} closed.", self._closed_holes, "small hole was", "small holes were"),
+            ("{} closed.", self._closed_holes, "hole was", "holes were"),
             ("{} closed.", self._closed_tunnels, "tunnel was", "tunnels were"),
             ("The last triangles of islands vanished at {}.", self._engine.dropped_island_count, "vertex", "vertices"),
             (dropped, self._dropped_components, "small component was", "small components were"),
@@ -140,56 +136,67 @@ class DrasticSteps:
         self._engine.relaxation = replace(self._engine.relaxation, drops_islands=True)
         return self._engine.retry(is_forced=True)
 
+    def _close_openings(self, size: float) -> bool:
+        """Close holes, or else tunnels, from the smallest on, about as many as there are too many triangles. As long as there are any, the
+        step is taken again."""
+        is_changed = self._close_holes(size) or self._close_tunnels(size)
+        self._taken -= is_changed
+        return is_changed
+
+    def _close_larger_openings(self, size: float) -> bool:
+        return self._close_openings(LARGER_FACTOR * size)
+
+    def _close_all_openings(self, size: float) -> bool:
+        return self._close_openings(np.inf)
+
     def _close_holes(self, size: float) -> bool:
-        """Close holes of three edges, to which collapses reduce all holes, if the triangle is small, within one island, and has an area in
-        texture space."""
-        engine, topology = self._engine, self._engine.topology
-        boundary = np.flatnonzero((topology.twins == BOUNDARY) & (topology.boundary_counts[topology.starts] == 2)).astype(np.int32)
-        leaving = np.full(topology.vertex_count, -1, np.int32)
-        leaving[topology.starts[boundary]] = boundary
-        second = leaving[topology.ends[boundary]]
-        third = np.where(second >= 0, leaving[topology.ends[second]], -1)
-        is_loop = (third >= 0) & (topology.ends[third] == topology.starts[boundary])
-        is_loop &= (topology.starts[boundary] < topology.ends[boundary]) & (topology.starts[boundary] < topology.ends[second])
-        is_loop &= topology.ends[topology.next(boundary)] != topology.starts[third]  # the same triangle from behind
-        loops = np.stack([boundary, third, second])[:, is_loop]  # in the direction of the triangles that close them
-        is_closed = _can_fill(engine, loops) & (_measure_longest(engine, loops) <= size)
-        if not is_closed.any():
-            return False
-        self._closed_holes += np.count_nonzero(is_closed)
-        self._fill(loops[:, is_closed])
-        return True
+        holes = find_holes(self._engine.topology)
+        sizes = self._measure(holes)
+        by_size = np.argsort(sizes, kind="stable")
+        by_size = by_size[(sizes <= size)[by_size] & self._can_fill(holes)[by_size]][: self._count_excess(TRIANGLES_PER_HOLE)]
+        if len(by_size):
+            self._closed_holes += len(by_size)
+            self._fill(holes[:, by_size])
+        return len(by_size) > 0
 
     def _close_tunnels(self, size: float) -> bool:
-        """Cut the surface along loops of three edges, to which collapses reduce all tunnels, and close both sides. As long as that helps,
-        the step is taken again."""
-        engine, topology = self._engine, self._engine.topology
+        topology = self._engine.topology
         loops = find_loops(topology)
-        sizes = _measure_longest(engine, loops)
-        is_allowed = sizes <= size
-        if not engine.crosses_seams:
-            is_allowed &= _can_fill(engine, _list_holes(topology, loops)).reshape(2, -1).all(axis=0)
-        excess = engine.triangle_count - self._target
-        tunnels = choose_tunnels(topology, loops[:, is_allowed], sizes[is_allowed], -(-excess // TRIANGLES_PER_TUNNEL))
-        if not tunnels.size:
-            return False
-        self._closed_tunnels += tunnels.shape[1]
-        engine.divide(find_left_corners(topology, tunnels), self._order)
-        self._fill(_list_holes(topology, tunnels))
-        self._taken -= 1
-        return True
+        sizes = self._measure(loops)
+        is_allowed = (sizes <= size) & self._can_fill(list_sides(topology, loops)).reshape(2, -1).all(axis=0)
+        tunnels = choose_tunnels(topology, loops[:, is_allowed], sizes[is_allowed], self._count_excess(TRIANGLES_PER_TUNNEL))
+        count = tunnels.shape[1]
+        if count:
+            self._closed_tunnels += count
+            self._engine.divide(find_side(topology, tunnels), self._order)
+            self._fill(list_sides(topology, tunnels))
+        return count > 0
 
-    def _close_larger_tunnels(self, size: float) -> bool:
-        return self._close_tunnels(LARGER_FACTOR * size)
+    def _measure(self, openings: np.ndarray) -> np.ndarray:
+        """Return the lengths (N,) of the longest edges of `openings` (3, N)."""
+        corners = self._engine.mesh.vertices[self._engine.topology.starts[openings]]
+        return np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=2).max(axis=0, initial=0.0)
 
-    def _close_all_tunnels(self, size: float) -> bool:
-        return self._close_tunnels(np.inf)
+    def _count_excess(self, triangles_per_opening: int) -> int:
+        return -(-(self._engine.triangle_count - self._target) // triangles_per_opening)
+
+    def _can_fill(self, holes: np.ndarray) -> np.ndarray:
+        """Return which `holes` (3, N), (N,) bool, triangles of their wedges can close, or of any wedges where seams set no limits."""
+        return self._has_wedges(holes) | self._engine.crosses_seams
+
+    def _has_wedges(self, holes: np.ndarray) -> np.ndarray:
+        """Return which `holes` (3, N), (N,) bool, are within one island and have an area of its sign in texture space, or no texture."""
+        engine, topology = self._engine, self._engine.topology
+        wedges = topology.wedges[holes]
+        signs = engine.orientations[holes[0] % topology.triangle_count]
+        is_in_island = (wedges == topology.wedges[topology.next(holes[[1, 2, 0]])]).all(axis=0)
+        return is_in_island & ((signs == 0) | (measure_uv_quality(engine.mesh.uvs[wedges]) * signs >= MIN_FILL_QUALITY))
 
     def _fill(self, holes: np.ndarray) -> None:
         """Close `holes` (3, N) by triangles that begin at these halfedges. Where the wedges there give no triangle of one island, it gets
         the texture of a neighbor."""
         engine, topology = self._engine, self._engine.topology
-        rows = np.flatnonzero(~_can_fill(engine, holes))
+        rows = np.flatnonzero(~self._has_wedges(holes))
         if len(rows):
             quality = measure_uv_quality(engine.mesh.uvs[engine.wedges]) * engine.orientations
             best = quality[holes[:, rows] % topology.triangle_count].argmax(axis=0)
@@ -229,24 +236,3 @@ class DrasticSteps:
         self._dropped_triangles += np.count_nonzero(~is_kept)
         engine.keep_triangles(is_kept)
         return True
-
-
-def _list_holes(topology: Topology, loops: np.ndarray) -> np.ndarray:
-    """Return the holes (3, 2 L) that a cut along `loops` (3, L) leaves on their left, then on their right, see `DrasticSteps`."""
-    return np.concatenate([loops[[0, 2, 1]], topology.twins[loops]], axis=1)
-
-
-def _can_fill(engine: CollapseEngine, holes: np.ndarray) -> np.ndarray:
-    """Return which `holes` (3, N), see `DrasticSteps`, are within one island and have an area of its sign in texture space, (N,) bool, or
-    have no texture."""
-    topology = engine.topology
-    wedges = topology.wedges[holes]
-    signs = engine.orientations[holes[0] % topology.triangle_count]
-    is_in_island = (wedges == topology.wedges[topology.next(holes[[1, 2, 0]])]).all(axis=0)
-    return is_in_island & ((signs == 0) | (measure_uv_quality(engine.mesh.uvs[wedges]) * signs >= MIN_FILL_QUALITY))
-
-
-def _measure_longest(engine: CollapseEngine, loops: np.ndarray) -> np.ndarray:
-    """Return the length (N,) of the longest edge of `loops` (3, N) of halfedges."""
-    corners = engine.mesh.vertices[engine.topology.starts[loops]]
-    return np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=2).max(axis=0, initial=0.0)

@@ -1,8 +1,12 @@
-"""Tunnels: closed curves on a surface along which it can be cut without falling apart, such as those around holes through a part.
+"""Openings of a surface, which collapses reduce to three edges: holes with a boundary, and tunnels without one.
 
-Half-edge collapses keep the genus of a surface. They shorten a tunnel to a loop of three edges that are no triangle, and stop there, because
-each further collapse would make an edge that exists. A cut along the loop, and a triangle on each side of it, close the tunnel. A loop
-around a thin neck divides the surface, and is no tunnel: what is on one side of it collapses to one vertex.
+A tunnel is a closed curve along which a surface can be cut without falling apart, such as those around holes through a part. Half-edge
+collapses keep the genus. They shorten a tunnel to a loop of three edges that are no triangle, and stop there, because each further collapse
+would make an edge that exists. A cut along the loop, and a triangle on each side of it, close the tunnel. A loop around a thin neck divides
+the surface, and is no tunnel: what is on one side of it can collapse to one vertex.
+
+An opening is three halfedges at it, in the order in which their starts are the corners of a triangle that closes it: each ends where the
+one before begins.
 """
 
 import numpy as np
@@ -11,16 +15,30 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from ...arrays import concatenate_ranges
 from ...geometry.proximity import encode_pairs
-from .topology import AMBIGUOUS, Topology
+from .topology import AMBIGUOUS, BOUNDARY, Topology
+
+
+def find_holes(topology: Topology) -> np.ndarray:
+    """Return all holes of three edges, (3, N) halfedges at each."""
+    starts, ends = topology.starts, topology.ends
+    boundary = np.flatnonzero((topology.twins == BOUNDARY) & (topology.boundary_counts[starts] == 2)).astype(np.int32)
+    leaving = np.full(topology.vertex_count, -1, np.int32)
+    leaving[starts[boundary]] = boundary
+    second = leaving[ends[boundary]]
+    third = np.where(second >= 0, leaving[ends[second]], -1)
+    is_hole = (third >= 0) & (ends[third] == starts[boundary])
+    is_hole &= (starts[boundary] < ends[boundary]) & (starts[boundary] < ends[second])
+    is_hole &= ends[topology.next(boundary)] != starts[third]  # the same triangle from behind
+    return np.stack([boundary, third, second])[:, is_hole]
 
 
 def find_loops(topology: Topology) -> np.ndarray:
-    """Return all loops of three edges that are no triangle, away from boundaries: (3, L) halfedges, each beginning where the one before
+    """Return all loops of three edges inside of the surface that are no triangle: (3, L) halfedges, each beginning where the one before
     ends. Each loop is there once, in one of its two directions."""
     starts, ends, twins = topology.starts, topology.ends, topology.twins
-    is_inside = topology.boundary_counts == 0
-    is_inside[starts[twins == AMBIGUOUS]] = is_inside[ends[twins == AMBIGUOUS]] = False
-    forward = np.flatnonzero((starts < ends) & is_inside[starts] & is_inside[ends])
+    is_regular = topology.boundary_counts <= 2
+    is_regular[starts[twins == AMBIGUOUS]] = is_regular[ends[twins == AMBIGUOUS]] = False
+    forward = np.flatnonzero((starts < ends) & (twins >= 0) & is_regular[starts] & is_regular[ends])
     keys = encode_pairs(starts[forward], ends[forward], topology.vertex_count)
     order = np.argsort(keys)
     forward, keys = forward[order], keys[order]
@@ -83,13 +101,32 @@ def _number_cuts(topology: Topology) -> np.ndarray:
     return numbers
 
 
-def find_left_corners(topology: Topology, loops: np.ndarray) -> np.ndarray:
-    """Return the corners (N,) at the vertices of `loops` (3, L) of the triangles to the left of these."""
-    corners, last = loops.reshape(-1), np.roll(loops, 1, axis=0).reshape(-1)
-    result = [corners[:0]]
+def find_side(topology: Topology, loops: np.ndarray) -> np.ndarray:
+    """Return the corners (N,) on one side of `loops` (3, L), which must become others of their own if the surface is cut there: at each
+    vertex those on the left, or on the right if a boundary is between those on the left."""
+    leaving, arriving = loops.reshape(-1), np.roll(loops, 1, axis=0).reshape(-1)
+    corners, owners, is_divided = _walk(topology, leaving, arriving)
+    others, _, _ = _walk(topology, topology.twins[arriving[is_divided]], topology.twins[leaving[is_divided]])
+    return np.concatenate([corners[~is_divided[owners]], others])
+
+
+def _walk(topology: Topology, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the corners (P,) around vertices, from halfedges `first` (N,) that begin there to the triangles of those of `last` (N,) that
+    end there, the rows (P,) of these, and at which a boundary comes before, (N,) bool."""
+    is_divided = np.zeros(len(first), bool)
+    corners, rows = first, np.arange(len(first))
+    result, owners = [corners[:0]], [rows[:0]]
     while len(corners):
         result.append(corners)
+        owners.append(rows)
         preceding = topology.previous(corners)
-        is_inside = preceding != last
-        corners, last = topology.twins[preceding[is_inside]], last[is_inside]
-    return np.concatenate(result)
+        is_between = preceding != last[rows]
+        corners, rows = topology.twins[preceding[is_between]], rows[is_between]
+        is_divided[rows[corners < 0]] = True
+        corners, rows = corners[corners >= 0], rows[corners >= 0]
+    return np.concatenate(result), np.concatenate(owners), is_divided
+
+
+def list_sides(topology: Topology, loops: np.ndarray) -> np.ndarray:
+    """Return the holes (3, 2 L) that a cut along `loops` (3, L) leaves on their left, then on their right."""
+    return np.concatenate([loops[[0, 2, 1]], topology.twins[loops]], axis=1)
