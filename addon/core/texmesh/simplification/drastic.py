@@ -53,15 +53,20 @@ class DrasticSteps:
             self._unlock_attributes,
             self._free_seam_ends,
             self._unlock_touching_surfaces,
-            self._close_openings,
+            self._close_small_holes,
             self._drop_smallest_components,
+            self._fold_small_triangles,
+            self._fold_larger_triangles,
+            self._fold_all_triangles,
+            self._drop_components,
+            self._drop_islands,
+            self._close_small_openings,
             self._fold_small_triangles,
             self._close_larger_openings,
             self._fold_larger_triangles,
             self._close_all_openings,
             self._fold_all_triangles,
             self._drop_components,
-            self._drop_islands,
             self._drop_simplest_components,
         )
         size = self._settings.drastic_size * np.sqrt(4.0 / np.sqrt(3.0) * self._area / target)  # edge length of equilateral triangles
@@ -136,12 +141,21 @@ class DrasticSteps:
         self._engine.relaxation = replace(self._engine.relaxation, drops_islands=True)
         return self._engine.retry(is_forced=True)
 
-    def _close_openings(self, size: float) -> bool:
-        """Close holes, or else tunnels, from the smallest on, about as many as there are too many triangles. As long as there are any, the
-        step is taken again."""
-        is_changed = self._close_holes(size) or self._close_tunnels(size)
-        self._taken -= is_changed
-        return is_changed
+    def _close_small_holes(self, size: float) -> bool:
+        """Close all holes of three edges, to which collapses reduce all holes, that are small and whose wedges have texture coordinates."""
+        engine = self._engine
+        holes = find_holes(engine.topology)
+        has_texture = engine.orientations[holes[0] % engine.triangle_count] != 0
+        is_closed = self._can_fill(holes) & has_texture & (self._measure(holes) <= size)
+        if is_closed.any():
+            self._closed_holes += np.count_nonzero(is_closed)
+            self._fill(holes[:, is_closed])
+        return bool(is_closed.any())
+
+    def _close_small_openings(self, size: float) -> bool:
+        """Close openings, without which fewer triangles have to fold than before."""
+        self._engine.relaxation = replace(self._engine.relaxation, small_size=0.0)
+        return self._close_openings(size)
 
     def _close_larger_openings(self, size: float) -> bool:
         return self._close_openings(LARGER_FACTOR * size)
@@ -149,11 +163,19 @@ class DrasticSteps:
     def _close_all_openings(self, size: float) -> bool:
         return self._close_openings(np.inf)
 
+    def _close_openings(self, size: float) -> bool:
+        """Close holes, or else tunnels, from the smallest on, about as many as there are too many triangles. As long as there are any, the
+        step is taken again. Where seams set no limits, a triangle may have the texture of a neighbor."""
+        is_changed = self._close_holes(size) or self._close_tunnels(size)
+        self._taken -= is_changed
+        return is_changed
+
     def _close_holes(self, size: float) -> bool:
         holes = find_holes(self._engine.topology)
         sizes = self._measure(holes)
+        is_allowed = (sizes <= size) & (self._can_fill(holes) | self._engine.crosses_seams)
         by_size = np.argsort(sizes, kind="stable")
-        by_size = by_size[(sizes <= size)[by_size] & self._can_fill(holes)[by_size]][: self._count_excess(TRIANGLES_PER_HOLE)]
+        by_size = by_size[is_allowed[by_size]][: self._count_excess(TRIANGLES_PER_HOLE)]
         if len(by_size):
             self._closed_holes += len(by_size)
             self._fill(holes[:, by_size])
@@ -163,7 +185,8 @@ class DrasticSteps:
         topology = self._engine.topology
         loops = find_loops(topology)
         sizes = self._measure(loops)
-        is_allowed = (sizes <= size) & self._can_fill(list_sides(topology, loops)).reshape(2, -1).all(axis=0)
+        can_fill = self._can_fill(list_sides(topology, loops)).reshape(2, -1).all(axis=0)
+        is_allowed = (sizes <= size) & (can_fill | self._engine.crosses_seams)
         tunnels = choose_tunnels(topology, loops[:, is_allowed], sizes[is_allowed], self._count_excess(TRIANGLES_PER_TUNNEL))
         count = tunnels.shape[1]
         if count:
@@ -181,10 +204,6 @@ class DrasticSteps:
         return -(-(self._engine.triangle_count - self._target) // triangles_per_opening)
 
     def _can_fill(self, holes: np.ndarray) -> np.ndarray:
-        """Return which `holes` (3, N), (N,) bool, triangles of their wedges can close, or of any wedges where seams set no limits."""
-        return self._has_wedges(holes) | self._engine.crosses_seams
-
-    def _has_wedges(self, holes: np.ndarray) -> np.ndarray:
         """Return which `holes` (3, N), (N,) bool, are within one island and have an area of its sign in texture space, or no texture."""
         engine, topology = self._engine, self._engine.topology
         wedges = topology.wedges[holes]
@@ -196,7 +215,7 @@ class DrasticSteps:
         """Close `holes` (3, N) by triangles that begin at these halfedges. Where the wedges there give no triangle of one island, it gets
         the texture of a neighbor."""
         engine, topology = self._engine, self._engine.topology
-        rows = np.flatnonzero(~self._has_wedges(holes))
+        rows = np.flatnonzero(~self._can_fill(holes))
         if len(rows):
             quality = measure_uv_quality(engine.mesh.uvs[engine.wedges]) * engine.orientations
             best = quality[holes[:, rows] % topology.triangle_count].argmax(axis=0)
