@@ -222,8 +222,8 @@ class DrasticSteps:
             holes[:, rows] = np.take_along_axis(holes[:, rows], (best + np.arange(3)[:, None]) % 3, axis=0)
         vertices, wedges, edges = topology.starts[holes], topology.wedges[holes], holes[0]
         if len(rows):
-            beside = np.stack([topology.next(edges[rows]), topology.previous(edges[rows]), edges[rows]])
-            wedges[:, rows] = engine.add_wedges(topology.wedges[beside], vertices[:, rows], self._order)
+            sources = np.stack([topology.next(edges[rows]), topology.previous(edges[rows]), edges[rows]])
+            wedges[:, rows] = engine.add_wedges(topology.wedges[sources], vertices[:, rows], self._order)
         engine.add_triangles(vertices, wedges, edges % topology.triangle_count)
 
     def _drop_smallest_components(self, size: float) -> bool:
