@@ -106,7 +106,7 @@ def test_no_point_of_a_level_is_farther_than_its_distance(fine, level, refitted)
 
 
 @pytest.mark.parametrize("is_spiked", [False, True])
-def test_levels_that_the_refit_made_worse_keep_their_vertices(monkeypatch, is_spiked):
+def test_levels_that_the_refit_made_worse_are_those_of_the_simplification(monkeypatch, is_spiked):
     def refit_starts(*arguments):
         moved = yield from refit_as_usual(*arguments)
         return [add_spike(mesh) if is_spiked else mesh for mesh in moved]
@@ -116,13 +116,14 @@ def test_levels_that_the_refit_made_worse_keep_their_vertices(monkeypatch, is_sp
     mesh = textured_sphere(12)
     settings = TexmeshSettings(levels="ratios", ratios="0.4", views=2, max_image=32)
     chain = run_to_end(level_chain.make_levels(mesh, [checkered(16)], settings))
-    are_kept = (chain.levels[1].mesh.vertices[:, None] == mesh.vertices).all(axis=2).any(axis=1)
-    assert are_kept.all() == is_spiked and chain.levels[1].is_moved != is_spiked
+    assert chain.levels[1].is_moved != is_spiked
+    assert np.linalg.norm(chain.levels[1].mesh.vertices, axis=1).max() < 1.1
 
 
 @pytest.mark.parametrize(("order", "count"), [("visibility", 1), ("scale", 2)])
-def test_optimized_levels_are_simplified_once(monkeypatch, order, count):
+def test_optimized_levels_of_large_meshes_are_simplified_once(monkeypatch, order, count):
     engines = []
+    monkeypatch.setattr(level_chain, "MAX_RENDERED", 100)
     make_engine = levels.CollapseEngine
     monkeypatch.setattr(levels, "CollapseEngine", lambda *values, **named: engines.append(make_engine(*values, **named)) or engines[-1])
     settings = TexmeshSettings(levels="ratios", ratios="0.4", views=2, max_image=32, removal_order=order)

@@ -76,7 +76,7 @@ def test_small_components_are_dropped_and_large_ones_stay():
     triangles = np.concatenate([large.triangles, *(faces + len(large.vertices) + 4 * k for k in range(3))]).astype(np.int32)
     uvs = vertices @ np.array([[1.0, 0.2], [0.1, 1.0], [0.3, 0.4]])
     mesh = build_textured_mesh(TriangleMesh(vertices, triangles), uvs[triangles])
-    level = coarsest(mesh, 20, drastic=True)
+    level = coarsest(mesh, 20, drastic=True, size=0.2)
     assert "3 small components were dropped, 12 triangles." in level.drastic_steps
     kept = coarsest(mesh, 20, drastic=True, size=0.0)
     assert not any("components" in sentence for sentence in kept.drastic_steps)

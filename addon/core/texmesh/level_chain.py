@@ -192,9 +192,7 @@ def _optimize(
             differences = _measure_differences(images, settings)
         best = comparison.choose(meshes, differences)
         mesh = meshes[best] if differences is not None or meshes[best] is item.mesh else add_to(meshes[best])
-        kept.append(
-            replace(item, mesh=mesh, subset=subsets[best], distance=comparison.bound_distance(mesh), is_moved=best < moved_count)
-        )
+        kept.append(replace(item, mesh=mesh, subset=subsets[best], distance=comparison.bound_distance(mesh), is_moved=best < moved_count))
     surfaces = [compared.images[0].surface, *view_levels(kept[1:], mipmaps, settings)]
     return kept, open_images(surfaces, settings, compared.images)
 

@@ -76,7 +76,7 @@ class LevelSettings(Settings):
     drastic_simplification: bool = setting(
         True,
         "If a triangle count cannot be reached otherwise: ignore folds of small triangles, seams of normals and colors; drop thin"
-        " UV islands and small components; close small holes",
+        " UV islands and small components; close holes and tunnels",
         panel_label="Drastic",
     )
     max_difference: float = of_comparison(

@@ -16,7 +16,7 @@ from ...arrays import TINY
 from ...geometry.edges import halfedge_ends
 from ...geometry.mesh import face_areas_and_normals
 from ...geometry.transforms import signed_areas
-from ..simplification.engine import WedgeMoves
+from ..simplification.engine import Copies, WedgeMoves
 from ..simplification.topology import Collapses
 from ..simplification.wedge_quadrics import COLUMNS, ROWS, WedgeQuadrics
 from ..textured_mesh import TexturedMesh
@@ -65,6 +65,11 @@ class DeviationQuadrics(WedgeQuadrics):
         """See `WedgeQuadrics`."""
         self._borders.merge(removed, kept)
         super().merge_wedges(removed, kept)
+
+    def append(self, copies: Copies) -> None:
+        """See `RemovalOrder`."""
+        super().append(copies)
+        self._borders.append(len(copies.wedges), self._points)
 
     def _add_borders(self, mesh: TexturedMesh) -> None:
         """Add the squared distances from the edges of islands in UV space, which cover what is between the edge and a vertex next to it."""
@@ -150,6 +155,12 @@ class BorderDeviations:
         is_forward = self._following[removed] == kept
         first, second = np.where(is_forward, others, kept), np.where(is_forward, kept, others)
         self._following[first], self._preceding[second] = second, first
+
+    def append(self, count: int, points: np.ndarray) -> None:
+        """Append `count` wedges that are on no border. points: of all wedges, see `BorderDeviations`."""
+        self._points = points[:, :3]
+        self._following, self._preceding = (np.append(values, np.full(count, -1)) for values in (self._following, self._preceding))
+        self._errors = np.append(self._errors, np.zeros(count))
 
     def _find_others(self, removed: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the rows (R,) of moves along a border, and the neighbors (R,) of the removed wedges on the other side."""

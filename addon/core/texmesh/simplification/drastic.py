@@ -12,23 +12,26 @@ from ...geometry.mesh import face_areas_and_normals
 from ..settings import TexmeshSettings
 from ..textured_mesh import group_by_texture
 from .collapse_fans import measure_uv_quality
-from .engine import CollapseEngine
-from .topology import BOUNDARY, label_connected
+from .engine import CollapseEngine, RemovalOrder
+from .openings import choose_tunnels, find_holes, find_loops, find_side, list_sides
+from .topology import label_connected
 
 MAX_LOCKED_FRACTION = 0.25  # If more of the vertices of a level are locked, what can be unlocked is unlocked before all others are gone.
 SMALLEST_FRACTION = 0.5  # Components below this fraction of the size of small ones are dropped before triangles fold.
 LARGER_FACTOR = 2.0  # Triangles up to this multiple of the size of small ones fold before larger components are dropped.
 MIN_FILL_QUALITY = 1e-3  # in texture space, of triangles that close holes
+SIMPLEST_COUNT = 4  # Components of at most so many triangles, such as tetrahedra, are dropped at last whatever their size.
+TRIANGLES_PER_HOLE, TRIANGLES_PER_TUNNEL = 4, 12  # About so many triangles are no longer needed when one is closed.
 
 
 class DrasticSteps:
     """The steps for one engine, and sentences about what they did."""
 
-    def __init__(self, engine: CollapseEngine, settings: TexmeshSettings) -> None:
-        self._engine, self._settings = engine, settings
+    def __init__(self, engine: CollapseEngine, order: RemovalOrder, settings: TexmeshSettings) -> None:
+        self._engine, self._order, self._settings = engine, order, settings
         self._area = float(face_areas_and_normals(engine.mesh.vertices[engine.mesh.triangles])[0].sum())
         self._target, self._taken = 0, 0
-        self._closed_holes = self._dropped_components = self._dropped_triangles = 0
+        self._closed_holes = self._closed_tunnels = self._dropped_components = self._dropped_triangles = 0
         self._unlocked_vertices = self._freed_ends = self._separated_vertices = 0
 
     def prepare(self, target: int) -> None:
@@ -50,13 +53,16 @@ class DrasticSteps:
             self._unlock_attributes,
             self._free_seam_ends,
             self._unlock_touching_surfaces,
-            self._close_holes,
+            self._close_small_openings,
             self._drop_smallest_components,
             self._fold_small_triangles,
+            self._close_larger_openings,
             self._fold_larger_triangles,
+            self._close_all_openings,
             self._fold_all_triangles,
             self._drop_components,
             self._drop_islands,
+            self._drop_simplest_components,
         )
         size = self._settings.drastic_size * np.sqrt(4.0 / np.sqrt(3.0) * self._area / target)  # edge length of equilateral triangles
         while self._taken < len(steps):
@@ -68,20 +74,18 @@ class DrasticSteps:
     @property
     def sentences(self) -> list[str]:
         """What was done so far, one sentence for each kind of step."""
-        counts = {
-            "Seams of normals, colors or other attributes were unlocked at {}.": (self._unlocked_vertices, "vertex", "vertices"),
-            "{} of seams could collapse.": (self._freed_ends, "end", "ends"),
-            "Surfaces that touch at edges were simplified separately at {}.": (self._separated_vertices, "vertex", "vertices"),
-            "{} closed.": (self._closed_holes, "small hole was", "small holes were"),
-            "The last triangles of islands vanished at {}.": (self._engine.dropped_island_count, "vertex", "vertices"),
-            f"{{}} dropped, {self._dropped_triangles} triangles.": (
-                self._dropped_components,
-                "small component was",
-                "small components were",
-            ),
-            "Small triangles folded over at {}.": (self._engine.folded_count, "vertex", "vertices"),
-        }
-        return [text.format(f"{n} {one if n == 1 else many}") for text, (n, one, many) in counts.items() if n]
+        dropped = f"{{}} dropped, {self._dropped_triangles} triangles."
+        counts = (
+            ("Seams of normals, colors or other attributes were unlocked at {}.", self._unlocked_vertices, "vertex", "vertices"),
+            ("{} of seams could collapse.", self._freed_ends, "end", "ends"),
+            ("Surfaces that touch at edges were simplified separately at {}.", self._separated_vertices, "vertex", "vertices"),
+            ("{} closed.", self._closed_holes, "hole was", "holes were"),
+            ("{} closed.", self._closed_tunnels, "tunnel was", "tunnels were"),
+            ("The last triangles of islands vanished at {}.", self._engine.dropped_island_count, "vertex", "vertices"),
+            (dropped, self._dropped_components, "small component was", "small components were"),
+            ("Small triangles folded over at {}.", self._engine.folded_count, "vertex", "vertices"),
+        )
+        return [text.format(f"{n} {one if n == 1 else many}") for text, n, one, many in counts if n]
 
     def _fold_small_triangles(self, size: float) -> bool:
         self._engine.relaxation = replace(self._engine.relaxation, small_size=size)
@@ -96,7 +100,7 @@ class DrasticSteps:
     def _unlock_attributes(self, size: float) -> bool:
         """Keep only seams of texture coordinates and materials."""
         engine = self._engine
-        if engine.crosses_seams:
+        if engine.crosses_seams or self._closed_tunnels:
             return False
         before = engine.topology.is_removable
         groups = group_by_texture(engine.mesh)
@@ -132,46 +136,99 @@ class DrasticSteps:
         self._engine.relaxation = replace(self._engine.relaxation, drops_islands=True)
         return self._engine.retry(is_forced=True)
 
+    def _close_small_openings(self, size: float) -> bool:
+        """Close openings, and forbid folds again: fewer triangles have to fold without openings."""
+        self._engine.relaxation = replace(self._engine.relaxation, small_size=0.0)
+        return self._close_openings(size)
+
+    def _close_larger_openings(self, size: float) -> bool:
+        return self._close_openings(LARGER_FACTOR * size)
+
+    def _close_all_openings(self, size: float) -> bool:
+        return self._close_openings(np.inf)
+
+    def _close_openings(self, size: float) -> bool:
+        """Close holes, or else tunnels, from the smallest on, about as many as there are too many triangles. As long as there are any, the
+        step is taken again. Where seams set no limits, a triangle may have the texture of a neighbor."""
+        is_changed = self._close_holes(size) or self._close_tunnels(size)
+        self._taken -= is_changed
+        return is_changed
+
     def _close_holes(self, size: float) -> bool:
-        """Close holes of three edges, to which collapses reduce all holes, if the triangle is small, within one island, and has an area in
-        texture space."""
+        holes = find_holes(self._engine.topology)
+        sizes = self._measure(holes)
+        is_allowed = (sizes <= size) & (self._can_fill(holes) | self._engine.crosses_seams)
+        by_size = np.argsort(sizes, kind="stable")
+        by_size = by_size[is_allowed[by_size]][: self._count_excess(TRIANGLES_PER_HOLE)]
+        if len(by_size):
+            self._closed_holes += len(by_size)
+            self._fill(holes[:, by_size])
+        return len(by_size) > 0
+
+    def _close_tunnels(self, size: float) -> bool:
+        topology = self._engine.topology
+        loops = find_loops(topology)
+        sizes = self._measure(loops)
+        can_fill = self._can_fill(list_sides(topology, loops)).reshape(2, -1).all(axis=0)
+        is_allowed = (sizes <= size) & (can_fill | self._engine.crosses_seams)
+        tunnels = choose_tunnels(topology, loops[:, is_allowed], sizes[is_allowed], self._count_excess(TRIANGLES_PER_TUNNEL))
+        count = tunnels.shape[1]
+        if count:
+            self._closed_tunnels += count
+            self._engine.divide(find_side(topology, tunnels), self._order)
+            self._fill(list_sides(topology, tunnels))
+        return count > 0
+
+    def _measure(self, openings: np.ndarray) -> np.ndarray:
+        """Return the lengths (N,) of the longest edges of `openings` (3, N)."""
+        corners = self._engine.surface.positions.T[self._engine.topology.starts[openings]]
+        return np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=2).max(axis=0, initial=0.0)
+
+    def _count_excess(self, triangles_per_opening: int) -> int:
+        return -(-(self._engine.triangle_count - self._target) // triangles_per_opening)
+
+    def _can_fill(self, holes: np.ndarray) -> np.ndarray:
+        """Return which `holes` (3, N), (N,) bool, are within one island and have an area of its sign in texture space, or no texture."""
         engine, topology = self._engine, self._engine.topology
-        boundary = np.flatnonzero((topology.twins == BOUNDARY) & (topology.boundary_counts[topology.starts] == 2)).astype(np.int32)
-        leaving = np.full(topology.vertex_count, -1, np.int32)
-        leaving[topology.starts[boundary]] = boundary
-        second = leaving[topology.ends[boundary]]
-        third = np.where(second >= 0, leaving[topology.ends[second]], -1)
-        is_loop = (third >= 0) & (topology.ends[third] == topology.starts[boundary])
-        is_loop &= (topology.starts[boundary] < topology.ends[boundary]) & (topology.starts[boundary] < topology.ends[second])
-        is_loop &= topology.ends[topology.next(boundary)] != topology.starts[third]  # the same triangle from behind
-        loops = np.stack([boundary, third, second])[:, is_loop]  # in the direction of the triangles that close them
-        vertices, wedges = topology.starts[loops], topology.wedges[loops]
-        corners = engine.mesh.vertices[vertices]
-        longest = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=2).max(axis=0, initial=0.0)
-        neighbors = loops[0] % topology.triangle_count
-        signs = engine.orientations[neighbors]
-        is_in_island = (wedges == topology.wedges[topology.next(loops[[1, 2, 0]])]).all(axis=0)
-        is_closed = is_in_island & (longest <= size) & (measure_uv_quality(engine.mesh.uvs[wedges]) * signs >= MIN_FILL_QUALITY)
-        if not is_closed.any():
-            return False
-        self._closed_holes += np.count_nonzero(is_closed)
-        engine.add_triangles(vertices[:, is_closed], wedges[:, is_closed], neighbors[is_closed])
-        return True
+        wedges = topology.wedges[holes]
+        signs = engine.orientations[holes[0] % topology.triangle_count]
+        is_in_island = (wedges == topology.wedges[topology.next(holes[[1, 2, 0]])]).all(axis=0)
+        return is_in_island & ((signs == 0) | (measure_uv_quality(engine.mesh.uvs[wedges]) * signs >= MIN_FILL_QUALITY))
+
+    def _fill(self, holes: np.ndarray) -> None:
+        """Close `holes` (3, N) by triangles that begin at these halfedges. Where the wedges there give no triangle of one island, it gets
+        the texture of a neighbor."""
+        engine, topology = self._engine, self._engine.topology
+        rows = np.flatnonzero(~self._can_fill(holes))
+        if len(rows):
+            quality = measure_uv_quality(engine.mesh.uvs[engine.wedges]) * engine.orientations
+            best = quality[holes[:, rows] % topology.triangle_count].argmax(axis=0)
+            holes[:, rows] = np.take_along_axis(holes[:, rows], (best + np.arange(3)[:, None]) % 3, axis=0)
+        vertices, wedges, edges = topology.starts[holes], topology.wedges[holes], holes[0]
+        if len(rows):
+            sources = np.stack([topology.next(edges[rows]), topology.previous(edges[rows]), edges[rows]])
+            wedges[:, rows] = engine.add_wedges(topology.wedges[sources], vertices[:, rows], self._order)
+        engine.add_triangles(vertices, wedges, edges % topology.triangle_count)
 
     def _drop_smallest_components(self, size: float) -> bool:
         return self._drop_components(SMALLEST_FRACTION * size)
 
-    def _drop_components(self, size: float) -> bool:
-        """Drop small components, from the smallest on, as long as there are too many triangles. The largest one stays."""
+    def _drop_simplest_components(self, size: float) -> bool:
+        return self._drop_components(np.inf, SIMPLEST_COUNT)
+
+    def _drop_components(self, size: float, max_count: float = np.inf) -> bool:
+        """Drop small components, from the smallest on, as long as there are too many triangles. The largest one stays, and those with more
+        than `max_count` triangles."""
         engine = self._engine
         labels = label_connected(engine.triangles.T, len(engine.mesh.vertices))
         counts = np.bincount(labels)
-        corners = engine.mesh.vertices[engine.triangles.T]
+        corners = engine.surface.positions.T[engine.triangles.T]
         areas = np.bincount(labels, face_areas_and_normals(corners)[0])
         low, high = np.full((len(counts), 3), np.inf), np.full((len(counts), 3), -np.inf)
         np.minimum.at(low, labels, corners.min(axis=1))
         np.maximum.at(high, labels, corners.max(axis=1))
-        small = np.flatnonzero((np.linalg.norm(high - low, axis=1) <= size) & (np.arange(len(counts)) != areas.argmax()))
+        is_small = (np.linalg.norm(high - low, axis=1) <= size) & (counts <= max_count)
+        small = np.flatnonzero(is_small & (np.arange(len(counts)) != areas.argmax()))
         small = small[np.argsort(areas[small], kind="stable")]
         excess = engine.triangle_count - self._target
         dropped = small[: int(np.searchsorted(np.cumsum(counts[small]), excess)) + 1]

@@ -6,12 +6,12 @@ For each collapse it is recorded how much it is seen (section IV.B of the paper)
 cost least.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
-from ...arrays import TINY, concatenate_ranges
+from ...arrays import concatenate_ranges
 from ...geometry.collapses import select_independent
 from ...geometry.mesh import vertex_normals
 from ..textured_mesh import TexturedMesh
@@ -28,8 +28,9 @@ from .collapse_fans import (
     find_refusals,
     replace_wedges,
 )
+from .perceptual_values import PerceptualValues
 from .placement import VertexPlacement, shorten_steps
-from .topology import BOUNDARY, Collapses, Topology, build_topology, divide_into_surfaces, find_islands
+from .topology import Collapses, Topology, build_topology, divide_into_surfaces, find_islands
 
 MAX_ATTEMPTS = 8  # neighbors that are tried per vertex and round
 WINDOW_FRACTION, MIN_WINDOW = 0.2, 48  # A round chooses from the first vertices that may be removed: this fraction, or this number.
@@ -38,65 +39,22 @@ MIN_RETRY_FRACTION = 0.01  # Refused vertices are tried again after collapses of
 RANK_JITTER = 0.5  # Ranks vary by this fraction of the window; otherwise smooth orders would shrink row by row.
 
 
-class PerceptualValues:
-    """Perceptual values of vertices when they are removed: their distances to the mean planes of their neighbors, with what they have
-    absorbed, the cumulated sum (Figure 12)."""
+@dataclass(frozen=True)
+class Copies:
+    """Vertices and wedges that are appended to those of a `CollapseEngine`.
 
-    def __init__(self, vertices: np.ndarray) -> None:
-        """vertices: (V, 3)."""
-        self._positions = np.ascontiguousarray(vertices.T)
-        self._absorbed = np.zeros(len(vertices))
-
-    def estimate(self, topology: Topology, vertices: np.ndarray) -> np.ndarray:
-        """Return what the removal of `vertices` (N,) would be seen as, whatever they collapse onto: cumulated distances to
-        mean planes. On a curve, the last one is at least the distance to the edge between the neighbors there, by which the
-        boundary or the textures on both sides move."""
-        distances = measure_plane_distances(self._positions, topology, vertices)
-        rows = np.flatnonzero(topology.is_on_curve[vertices])
-        distances[rows] = np.maximum(distances[rows], _measure_curve_distances(self._positions, topology, vertices[rows]))
-        return self._absorbed[vertices] + distances
-
-    def record(self, topology: Topology, removed: np.ndarray, kept: np.ndarray) -> np.ndarray:
-        """Return the values (N,) of `removed` vertices (N,), whose stimuli the `kept` (N,) absorb."""
-        distances = self._absorbed[removed] + measure_plane_distances(self._positions, topology, removed)
-        np.add.at(self._absorbed, kept, distances)
-        return distances
-
-
-def measure_plane_distances(positions: np.ndarray, topology: Topology, vertices: np.ndarray) -> np.ndarray:
-    """Return the distances (N,) of `vertices` (N,) to the mean planes of their neighbors, in the unit of `positions` (3, V).
-
-    The plane goes through the mean of the neighbors, perpendicular to the vector area of the polygon that they form.
+    Attributes:
+        vertices: (N,) int32, those that the new ones are copies of.
+        wedges: (M,) int32, likewise.
+        homes: (M,) int32, the vertices of the new wedges.
+        is_blank: whether the new wedges stand for no part of the fine surface, and only have the texture coordinates and attributes of
+            those that they are copies of.
     """
-    owners, corners = topology.find_corners(vertices)
-    preceding = topology.previous(corners)
-    following = topology.ends[corners]
-    count = len(vertices)
-    neighbors = positions.take(following, axis=1)
-    others = positions.take(topology.starts[preceding], axis=1)
-    is_last = topology.twins[preceding] == BOUNDARY
-    numbers = np.bincount(owners, minlength=count) + np.bincount(owners[is_last], minlength=count)
-    center = np.empty((3, count))
-    for axis in range(3):
-        sums = np.bincount(owners, neighbors[axis], count) + np.bincount(owners[is_last], others[axis, is_last], count)
-        center[axis] = sums / np.maximum(numbers, 1)
-    first, second = neighbors - center[:, owners], others - center[:, owners]
-    normal = np.empty((3, count))
-    for axis in range(3):
-        i, j = (axis + 1) % 3, (axis + 2) % 3
-        normal[axis] = np.bincount(owners, first[i] * second[j] - first[j] * second[i], count)
-    offset = positions[:, vertices] - center
-    lengths = np.sqrt((normal**2).sum(axis=0))
-    return np.where(lengths > 0.0, np.abs((offset * normal).sum(axis=0)) / np.maximum(lengths, TINY), np.sqrt((offset**2).sum(axis=0)))
 
-
-def _measure_curve_distances(positions: np.ndarray, topology: Topology, vertices: np.ndarray) -> np.ndarray:
-    """Return the distances (N,) of `vertices` (N,) to the segments between their neighbors on curves, in the unit of `positions` (3, V)."""
-    first, second = topology.curve_neighbors[:, vertices]
-    start = positions[:, first]
-    direction, offset = positions[:, second] - start, positions[:, vertices] - start
-    fraction = np.clip((direction * offset).sum(axis=0) / np.maximum((direction**2).sum(axis=0), TINY), 0.0, 1.0)
-    return np.sqrt(((offset - fraction * direction) ** 2).sum(axis=0))
+    vertices: np.ndarray
+    wedges: np.ndarray
+    homes: np.ndarray
+    is_blank: bool
 
 
 class RemovalOrder(Protocol):
@@ -119,6 +77,9 @@ class RemovalOrder(Protocol):
 
     def mark_changed(self, vertices: np.ndarray) -> None:
         """Take note of `vertices` (N,) whose triangles have changed."""
+
+    def append(self, copies: Copies) -> None:
+        """Take note of vertices and wedges that are appended."""
 
 
 @dataclass(frozen=True)
@@ -177,7 +138,7 @@ class CollapseEngine:
         self.folded_count = self.dropped_island_count = 0
         self._retry_count = 0
         self._is_waiting = np.zeros(len(mesh.vertices), bool)
-        self._is_divided = np.bincount(self.fine_vertices)[self.fine_vertices] > 1
+        self._is_divided = _find_divided(self.fine_vertices)
         self._random = np.random.default_rng(0)
         self.rebuild()
 
@@ -266,6 +227,45 @@ class CollapseEngine:
         )
         self._is_waiting[:] = False
         self.rebuild()
+
+    def divide(self, corners: np.ndarray, order: RemovalOrder) -> None:
+        """Divide the surface: give `corners` (N,), halfedges that begin there, vertices and wedges of their own, at the same place."""
+        vertices, own_vertices = np.unique(self.topology.starts[corners], return_inverse=True)
+        wedges, first, own_wedges = np.unique(self.topology.wedges[corners], return_index=True, return_inverse=True)
+        own_vertices, own_wedges = own_vertices + len(self.reasons), own_wedges + len(self.groups)
+        self._append(Copies(vertices, wedges, own_vertices[first].astype(np.int32), is_blank=False), order)
+        self.triangles.reshape(-1)[corners], self.wedges.reshape(-1)[corners] = own_vertices, own_wedges
+        self.rebuild()
+        order.mark_changed(np.unique(self.triangles[:, corners % self.triangle_count]))
+
+    def add_wedges(self, wedges: np.ndarray, vertices: np.ndarray, order: RemovalOrder) -> np.ndarray:
+        """Return new wedges at `vertices`, with the texture coordinates and attributes of `wedges`, all of the same shape, int32."""
+        first = len(self.groups)
+        self._append(Copies(np.zeros(0, np.int32), wedges.reshape(-1), vertices.reshape(-1), is_blank=True), order)
+        return np.arange(first, len(self.groups), dtype=np.int32).reshape(wedges.shape)
+
+    def _append(self, copies: Copies, order: RemovalOrder) -> None:
+        vertices, wedges = copies.vertices, copies.wedges
+        groups = np.arange(len(wedges)) if copies.is_blank else np.unique(self.groups[wedges], return_inverse=True)[1]
+        self.groups = np.concatenate([self.groups, self.groups.max(initial=-1) + 1 + groups]).astype(self.groups.dtype)
+        mesh, surface = self.mesh, self.surface
+        self.mesh = replace(
+            mesh,
+            vertices=np.concatenate([mesh.vertices, mesh.vertices[vertices]]),
+            wedge_vertices=np.concatenate([mesh.wedge_vertices, copies.homes]),
+            uvs=np.concatenate([mesh.uvs, mesh.uvs[wedges]]),
+            attributes=np.concatenate([mesh.attributes, mesh.attributes[wedges]]),
+        )
+        columns = ((surface.positions, vertices), (surface.normals, vertices), (surface.uvs, wedges))
+        self.surface = Surface(*(np.concatenate([values, values[:, rows]], axis=1) for values, rows in columns))
+        self.fine_wedges = np.concatenate([self.fine_wedges, self.fine_wedges[wedges]])
+        per_vertex = (self.fine_vertices, self.is_locked, self.reasons, self._is_waiting)
+        self.fine_vertices, self.is_locked, self.reasons, self._is_waiting = (
+            np.concatenate([values, values[vertices]]) for values in per_vertex
+        )
+        self._is_divided = _find_divided(self.fine_vertices)
+        self.perceptual.append(vertices)
+        order.append(copies)
 
     def _choose_independent(self, window: np.ndarray) -> np.ndarray:
         """Return some vertices of `window` (N,) that share no triangle, in order."""
@@ -356,3 +356,8 @@ class CollapseEngine:
         homes = np.arange(len(starts) - 1)
         homes[fans.collapses.removed] = fans.collapses.kept
         return wedges[rows], homes[vertices]
+
+
+def _find_divided(fine_vertices: np.ndarray) -> np.ndarray:
+    """Return which vertices (V,) bool have the same one of `fine_vertices` (V,) as others."""
+    return np.bincount(fine_vertices)[fine_vertices] > 1

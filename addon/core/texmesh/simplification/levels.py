@@ -134,7 +134,7 @@ def extract_level(mesh: TexturedMesh, level: SubsetLevel) -> TexturedMesh:
 def _make_levels(engine: CollapseEngine, order: RemovalOrder, targets: list[int], settings: TexmeshSettings) -> Steps[Simplification]:
     if any(target < 1 for target in targets) or any(first < second for first, second in pairwise(targets)):
         raise SettingsError(f"Triangle counts of levels must be positive and descend, not {', '.join(map(str, targets))}.")
-    drastic = DrasticSteps(engine, settings)
+    drastic = DrasticSteps(engine, order, settings)
     initial_count = engine.triangle_count
     last_target = min(targets, default=initial_count)
     levels = []

@@ -14,7 +14,7 @@ from ...arrays import TINY
 from ...geometry.mesh import face_areas_and_normals, longest_side, scaled_normals
 from ...geometry.transforms import signed_areas
 from ..textured_mesh import TexturedMesh
-from .engine import CollapseEngine, WedgeMoves
+from .engine import CollapseEngine, Copies, WedgeMoves
 from .topology import BOUNDARY, Collapses, Topology, build_topology, find_islands
 from .wedge_quadrics import COLUMNS, ROWS, WedgeQuadrics
 
@@ -38,6 +38,9 @@ class CollapseCost(Protocol):
         """Take note of `collapses` that are performed."""
 
     def drop_wedges(self, wedges: np.ndarray, vertices: np.ndarray) -> None:
+        """See `RemovalOrder`."""
+
+    def append(self, copies: Copies) -> None:
         """See `RemovalOrder`."""
 
 
@@ -82,6 +85,12 @@ class GivenOrder:
     def mark_changed(self, vertices: np.ndarray) -> None:
         """See `RemovalOrder`."""
         self._is_stale[vertices] = self._needs_values
+
+    def append(self, copies: Copies) -> None:
+        """See `RemovalOrder`."""
+        self._positions = np.concatenate([self._positions, self._positions[:, copies.vertices]], axis=1)
+        columns = (self._priorities, self._values, self._is_stale)
+        self._priorities, self._values, self._is_stale = (np.concatenate([values, values[copies.vertices]]) for values in columns)
 
 
 class CheapestOrder:
@@ -128,6 +137,12 @@ class CheapestOrder:
     def mark_changed(self, vertices: np.ndarray) -> None:
         """See `RemovalOrder`."""
         self._is_stale[vertices] = True
+
+    def append(self, copies: Copies) -> None:
+        """See `RemovalOrder`."""
+        columns = (self._costs, self._is_stale)
+        self._costs, self._is_stale = (np.concatenate([values, values[copies.vertices]]) for values in columns)
+        self._cost.append(copies)
 
 
 class TextureQuadrics(WedgeQuadrics):
@@ -197,6 +212,11 @@ class ScaleWeightedQuadrics(TextureQuadrics):
     def evaluate(self, collapses: Collapses, moves: WedgeMoves) -> np.ndarray:
         """See `CollapseCost`."""
         return super().evaluate(collapses, moves) * self._weights[collapses.removed]
+
+    def append(self, copies: Copies) -> None:
+        """See `RemovalOrder`."""
+        super().append(copies)
+        self._weights = np.concatenate([self._weights, self._weights[copies.vertices]])
 
 
 def _find_color_borders(mesh: TexturedMesh, topology: Topology) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 from ...geometry.mesh import face_areas_and_normals, longest_side
 from ...jobs.chunks import slices
 from ..textured_mesh import TexturedMesh
-from .engine import WedgeMoves
+from .engine import Copies, WedgeMoves
 from .topology import Collapses, find_islands
 
 ROWS, COLUMNS = np.triu_indices(6)
@@ -55,6 +55,16 @@ class WedgeQuadrics:
         planes = self._planes[wedges]
         np.add.at(self._vertex_planes, vertices, planes)
         np.add.at(self._at_vertices, vertices, planes - fix_uvs(self._quadrics[wedges], self._points[wedges, 3:]))
+
+    def append(self, copies: Copies) -> None:
+        """See `RemovalOrder`. Copies of wedges stand for the same triangles."""
+        columns = (self._positions, self._at_vertices, self._vertex_planes)
+        self._positions, self._at_vertices, self._vertex_planes = (np.concatenate([values, values[copies.vertices]]) for values in columns)
+        points = np.column_stack([self._positions[copies.homes], self._points[copies.wedges, 3:]])
+        self._points = np.concatenate([self._points, points])
+        factor = 0.0 if copies.is_blank else 1.0
+        columns = (self._quadrics, self._planes, self._areas)
+        self._quadrics, self._planes, self._areas = (np.concatenate([values, factor * values[copies.wedges]]) for values in columns)
 
     def merge_wedges(self, removed: np.ndarray, kept: np.ndarray) -> None:
         """Add the quadrics of wedges (N,) to those that take their place."""
