@@ -35,7 +35,7 @@ class Candidate:
         subset: what it is of the original, None for the original itself.
         start: where its optimization starts, None if it is not optimized.
         distance: no point of it is farther from the original; NaN if that is not known.
-        is_moved: whether its vertices are optimized.
+        is_moved: whether least squares placed its vertices.
     """
 
     mesh: TexturedMesh

@@ -41,7 +41,7 @@ class Level:
         switch: from where it may replace its finer neighbor, None for the original.
         subset: what it is of the original, before its vertices moved if it is optimized; None for the original itself.
         distance: no point of it is farther from the original, in the unit of the mesh.
-        is_moved: whether its vertices are optimized. Where that would have made it worse, it keeps those of the original.
+        is_moved: whether least squares placed its vertices. Where that would have made it worse, they are those of the simplification.
     """
 
     mesh: TexturedMesh
