@@ -206,9 +206,7 @@ def check_targets(assets: Sequence[Asset], ratio: float) -> dict[str, Any]:
     targets = [max(round(ratio * asset.triangles), 1) for asset in assets]
     rows = zip(assets, counts, targets, strict=True)
     missed = {asset.item.name: [count, target] for asset, count, target in rows if count < 0 or _misses(count, target) > MAX_MISS}
-    total, target = sum(counts), sum(targets)
-    is_reached = min(counts) >= 0 and _misses(total, target) <= MAX_MISS
-    return {"triangles": total, "target": target, "is_reached": is_reached, "missed": missed}
+    return {"triangles": sum(counts), "target": sum(targets), "is_reached": not missed, "missed": missed}
 
 
 def judge(results: dict[str, Any]) -> dict[str, Any]:
@@ -219,7 +217,7 @@ def judge(results: dict[str, Any]) -> dict[str, Any]:
         for measure in FLOORS
     }
     missed = {f"{name} {label}": row for name, result in results.items() for label, row in result.get("targets", {}).items()}
-    missed = {place: [row["triangles"], row["target"]] for place, row in missed.items() if not row["is_reached"] or row["missed"]}
+    missed = {place: [row["triangles"], row["target"]] for place, row in missed.items() if not row["is_reached"]}
     return {
         "texture_mean": _judge_ratios(ratios["mean"], MAX_TEXTURE_RATIO, 1.0, MAX_TEXTURE_RATIO),
         "texture_mean_above_1": _judge_ratios(ratios["mean"], MAX_RATIO, 1.0, MAX_RATIO),
