@@ -28,7 +28,7 @@ AREA_POWER = 0.5
 since the planes along a limb do not resist."""
 CURVE_WEIGHT = 1.0  # Weight of squared distances from an edge of a border in UV space, times its squared length.
 DEVIATION_WEIGHT = 0.5  # Weight of squared deviations of edges on borders in space, times their squared length.
-MIN_UV_LENGTH = 1e-9  # of an edge in UV space, relative to the one in space; shorter ones give no directions
+MIN_UV_LENGTH = 1e-9  # Of an edge in UV space, relative to the one in space; shorter ones give no direction.
 LENGTH_WEIGHT = 1e-6  # Weight of the squared length of a collapse, which decides where the map is affine.
 
 
@@ -49,7 +49,7 @@ class DeviationQuadrics(WedgeQuadrics):
         terms = np.einsum("tik,til->tkl", rows, rows)[:, ROWS, COLUMNS] * (weights / 3.0)[:, None]
         for corner in range(3):
             np.add.at(self._quadrics, mesh.wedge_triangles[:, corner], terms)
-        self._add_borders(mesh)
+        self._add_borders(mesh, normals)
         self._borders = BorderDeviations(mesh, self._points)
         self.finish()
 
@@ -71,19 +71,21 @@ class DeviationQuadrics(WedgeQuadrics):
         super().append(copies)
         self._borders.append(len(copies.wedges), self._points)
 
-    def _add_borders(self, mesh: TexturedMesh) -> None:
-        """Add the squared distances from the edges of islands in UV space, which cover what is between the edge and a vertex next to it."""
+    def _add_borders(self, mesh: TexturedMesh, normals: np.ndarray) -> None:
+        """Add the squared distances from the edges of islands in UV space, which cover what is between the edge and a vertex next to it;
+        where edges have no length there, those from the planes through them that are perpendicular to the triangles. normals: (T, 3)."""
         halfedges, _ = find_border_halfedges(mesh)
         faces, corners = halfedges // 3, halfedges % 3
         start, end = (mesh.wedge_triangles[faces, (corners + step) % 3] for step in (1, 2))
-        edges = self._points[end, 3:] - self._points[start, 3:]
-        lengths = np.maximum(np.linalg.norm(edges, axis=1), 1e-300)
+        edges = self._points[end] - self._points[start]
+        lengths, uv_lengths = np.linalg.norm(edges[:, :3], axis=1), np.linalg.norm(edges[:, 3:], axis=1)
+        has_length = uv_lengths > MIN_UV_LENGTH * lengths
+        scales = np.divide(lengths, uv_lengths, out=np.zeros_like(lengths), where=has_length)
         rows = np.zeros((len(start), 6))
-        rows[:, 3], rows[:, 4] = -edges[:, 1] / lengths, edges[:, 0] / lengths
-        rows[:, 5] = -(rows[:, 3:5] * self._points[start, 3:]).sum(axis=1)
-        uv_lengths, lengths = lengths, np.linalg.norm(self._points[end, :3] - self._points[start, :3], axis=1)
-        scales = np.divide(lengths, uv_lengths, out=np.zeros_like(lengths), where=uv_lengths > MIN_UV_LENGTH * lengths)
-        terms = rows[:, ROWS] * rows[:, COLUMNS] * (0.5 * CURVE_WEIGHT * (scales * lengths) ** 2)[:, None]
+        rows[:, 3:5] = np.column_stack([-edges[:, 4], edges[:, 3]]) * scales[:, None] ** 2
+        rows[~has_length, :3] = np.cross(edges[:, :3], normals[faces])[~has_length]
+        rows[:, 5] = -np.einsum("nk,nk->n", rows[:, :5], self._points[start])
+        terms = rows[:, ROWS] * rows[:, COLUMNS] * (0.5 * CURVE_WEIGHT)
         np.add.at(self._quadrics, start, terms)
         np.add.at(self._quadrics, end, terms)
 
