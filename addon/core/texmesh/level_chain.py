@@ -190,7 +190,7 @@ def _optimize(
             surfaces = view_levels([replace(item, mesh=mesh) for mesh in meshes], mipmaps, settings)
             images = open_images([compared.images[0].surface, *surfaces], settings, compared.images)
             differences = _measure_differences(images, settings)
-        best = comparison.choose(meshes, differences)
+        best = comparison.choose(meshes, differences, moved_count)
         mesh = meshes[best] if differences is not None or meshes[best] is item.mesh else add_to(meshes[best])
         kept.append(replace(item, mesh=mesh, subset=subsets[best], distance=comparison.bound_distance(mesh), is_moved=best < moved_count))
     surfaces = [compared.images[0].surface, *view_levels(kept[1:], mipmaps, settings)]

@@ -39,16 +39,17 @@ class LevelComparison:
     def _tolerance(self) -> float:
         return TOLERANCE * longest_side(self.surface.mesh.vertices)
 
-    def choose(self, levels: Sequence[TexturedMesh], differences: np.ndarray | None = None) -> int:
-        """Return the index of the level whose deviations, and `differences` (N,) in renders, are small multiples of the least ones of all
-        N `levels`. The first one is preferred if none is larger than its limit."""
+    def choose(self, levels: Sequence[TexturedMesh], differences: np.ndarray | None = None, preferred_count: int = 1) -> int:
+        """Return the index of the level whose deviations, and `differences` (N,) in renders, are the smallest multiples of the least ones of
+        all N `levels`. One of the first `preferred_count` is preferred if none is larger than its limit."""
         values = np.array([self.measure(level) for level in levels]) + self._tolerance
         excess = values / values.min(axis=0) / MAX_RATIO
         if differences is not None:
             ratios = (differences + MIN_DIFFERENCE) / (differences.min() + MIN_DIFFERENCE)
             excess = np.column_stack([excess, ratios / MAX_DIFFERENCE_RATIO])
         worst = excess.max(axis=1)
-        return 0 if worst[0] <= 1.0 else int(worst.argmin())
+        preferred = int(worst[:preferred_count].argmin())
+        return preferred if worst[preferred] <= 1.0 else int(worst.argmin())
 
     def measure(self, level: TexturedMesh) -> tuple[float, float]:
         """Return the largest distance that is found between the surfaces, from both sides, and the distance of points with equal texture
