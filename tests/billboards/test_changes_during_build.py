@@ -5,6 +5,7 @@ import pytest
 
 from bridge import blender_scenes
 from bridge.operator_scenes import is_hidden, levels, select
+from farfield.addon.bridge.billboards.exports import write_glb
 from farfield.addon.core.billboards.settings import BillboardSettings, BuildOptions
 from farfield.addon.core.errors import GeometryError
 from farfield.addon.core.jobs.progress import run_to_end
@@ -108,3 +109,17 @@ def test_a_removed_earlier_cloud(source):
 
     finish_after(change, textures=False)
     assert is_hidden(source)
+
+
+@pytest.mark.parametrize("value", [True, [256], [0, 256], "256 x 256"])
+def test_an_export_of_a_changed_level_leaves_nothing(source, tmp_path, value):
+    """The custom property with the size of the images of the second level is something else."""
+    finish_after(lambda: None)
+    first = levels()["Oak Cloud L0"]
+    second = first.copy()
+    bpy.context.scene.collection.objects.link(second)
+    second["farfield_atlas"] = value
+    before = blender_scenes.count_data()
+    with pytest.raises(GeometryError, match="size of the atlas"):
+        write_glb([first, second], tmp_path / "oak.glb")
+    assert blender_scenes.count_data() == before

@@ -61,8 +61,10 @@ def write_glb(levels: list[bpy.types.Object], path: Path) -> None:
     selected, active = list(bpy.context.selected_objects), layer.objects.active
     for item in selected:
         item.select_set(False)
-    copies = [_create_export_copy(level) for level in levels]
+    copies: list[bpy.types.Object] = []
     try:
+        for level in levels:
+            copies.append(_create_export_copy(level))
         bpy.ops.export_scene.gltf(
             filepath=str(exported),
             export_format="GLB",

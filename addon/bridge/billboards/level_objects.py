@@ -4,7 +4,9 @@ import bpy
 import idprop
 import numpy as np
 
+from ...core.billboards.atlas import MAX_SIDE
 from ...core.billboards.texels import QuadPolygons, Texels, texels_under_quads
+from ...core.errors import GeometryError
 from ..geometry.mesh_arrays import read_attribute, read_positions
 from ..imaging.images import read_pixels
 from ..objects import world_matrix
@@ -14,9 +16,28 @@ CENTER = "farfield_center"  # Custom property of a level object: the mean of its
 PBR_MATERIAL = "farfield_pbr_material"  # Custom property of a level object: the name of the material with the PBR maps.
 
 
+def read_atlas_size(level_object: bpy.types.Object) -> tuple[int, int]:
+    """Return the width and height of the images of a level object, in texels.
+
+    Raises:
+        GeometryError: the custom property that holds them was changed to something else.
+    """
+    size = find_atlas_size(level_object)
+    if size is None:
+        raise GeometryError(f'The size of the atlas of "{level_object.name}" is not two numbers up to {MAX_SIDE}; build the cloud again.')
+    return size
+
+
+def find_atlas_size(level_object: bpy.types.Object) -> tuple[int, int] | None:
+    """Return the same as `read_atlas_size`, None where that raises an error."""
+    atlas = level_object.get("farfield_atlas")
+    sides = list(atlas) if hasattr(atlas, "__len__") and not isinstance(atlas, str) else []
+    return (sides[0], sides[1]) if len(sides) == 2 and all(isinstance(side, int) and 1 <= side <= MAX_SIDE for side in sides) else None
+
+
 def read_level_texels(level_object: bpy.types.Object, center: np.ndarray | None = None) -> Texels:
     """Return the texels on the quads of a level object, in world space. center: see `read_level_quads`."""
-    return texels_under_quads(read_level_quads(level_object, center), tuple(level_object["farfield_atlas"]))
+    return texels_under_quads(read_level_quads(level_object, center), read_atlas_size(level_object))
 
 
 def read_level_quads(level_object: bpy.types.Object, center: np.ndarray | None = None) -> QuadPolygons:
@@ -29,7 +50,7 @@ def read_level_quads(level_object: bpy.types.Object, center: np.ndarray | None =
     local = read_positions(mesh).astype(np.float64)
     offset = np.array(world_matrix(level_object).translation, np.float64) if center is None else center - local.mean(axis=0)
     world = local + offset
-    size = np.array(level_object["farfield_atlas"], np.float64)
+    size = np.array(read_atlas_size(level_object), np.float64)
     corners, coordinates = [], []
     for polygon in mesh.polygons:
         loops = slice(polygon.loop_start, polygon.loop_start + polygon.loop_total)

@@ -18,7 +18,7 @@ from ....core.btf.tables import unpack_color_basis, unpack_scalar_basis, unpack_
 from ....core.errors import GeometryError
 from ....core.geometry.directions import DirectionGrid
 from ....core.imaging.images import decode_normals
-from ...billboards.level_objects import read_level_texels
+from ...billboards.level_objects import read_atlas_size, read_level_texels
 from ...imaging.images import read_pixels
 from ...shading.node_builder import nodes_in
 from ..materials.emission_material import (
@@ -58,7 +58,7 @@ def read_relightable_texture(level_object: bpy.types.Object) -> RelightableTextu
     images = _LevelImages(level_object)
     chromaticity, sky_visibility = np.split(images.pixels(CHROMATICITY), [3], axis=2)
     height, width = chromaticity.shape[:2]
-    if (width, height) != tuple(level_object["farfield_atlas"]):
+    if (width, height) != read_atlas_size(level_object):
         raise GeometryError(f'The images of "{level_object.name}" have another size than its atlas; bake them again.')
     color = _decode_color(images, layout, height, views, lights, np.ones(height * width, bool))
     lobes = _decode_lobes(level_object, images, layout, height, sky_visibility.ravel(), color.known) if DIFFUSE in images else None

@@ -11,7 +11,7 @@ from ....core.btf.settings import MAX_IMAGE_SIDE
 from ....core.errors import GeometryError
 from ...billboards import clouds
 from ...billboards.cloud_materials import FRONT_COLOR, FRONT_NORMAL, FRONT_ROUGHNESS_METALLIC_DEPTH
-from ...billboards.level_objects import built_center, pbr_image, read_level_quads
+from ...billboards.level_objects import built_center, find_atlas_size, pbr_image, read_atlas_size, read_level_quads
 from ...billboards.scene_clouds import SceneCloud
 from ...geometry.meshes import Source
 
@@ -92,11 +92,10 @@ def _check_mode(level_object: bpy.types.Object) -> None:
 
 
 def _numbers_problem(level_object: bpy.types.Object) -> str:
-    error, atlas = level_object.get("farfield_error"), level_object.get("farfield_atlas")
+    error = level_object.get("farfield_error")
     if not isinstance(error, Real) or not math.isfinite(error) or error <= 0.0:
         return "its error is not a positive number"
-    sides = list(atlas) if hasattr(atlas, "__len__") and not isinstance(atlas, str) else []
-    if len(sides) != 2 or not all(isinstance(side, int) and 1 <= side <= MAX_IMAGE_SIDE for side in sides):
+    if find_atlas_size(level_object) is None:
         return f"the size of its atlas is not two numbers up to {MAX_IMAGE_SIDE}"
     return ""
 
@@ -127,7 +126,7 @@ def _drawn_problem(mesh: bpy.types.Mesh, primitive_count: int) -> str:
 
 
 def _atlas_problem(level_object: bpy.types.Object) -> str:
-    size = tuple(level_object["farfield_atlas"])
+    size = read_atlas_size(level_object)
     images = (pbr_image(level_object, label) for label in PBR_LABELS)
     if any(tuple(image.size) != size for image in images if image is not None):
         return "its images have another size than its atlas"
@@ -138,7 +137,7 @@ def _corners_problem(quads: QuadPolygons, level_object: bpy.types.Object) -> str
     """Check that the corners of the quads are somewhere in the scene and in the atlas."""
     if not all(np.isfinite(corners).all() for corners in quads.corners):
         return "its vertices are not finite"
-    uvs = np.concatenate(quads.texel_coordinates) / tuple(level_object["farfield_atlas"])
+    uvs = np.concatenate(quads.texel_coordinates) / read_atlas_size(level_object)
     return "" if (np.abs(uvs - 0.5) <= 0.5 + MAX_UV_EXCESS).all() else "its UV map leaves the atlas"
 
 
@@ -147,7 +146,7 @@ def _quads_problem(quads: QuadPolygons, level_object: bpy.types.Object) -> str:
     problem = _corners_problem(quads, level_object)
     if problem:
         return problem
-    width, height = level_object["farfield_atlas"]
+    width, height = read_atlas_size(level_object)
     texel_count = sum(np.prod(np.ptp(coordinates, axis=0) + 2.0) for coordinates in quads.texel_coordinates)
     if texel_count > MAX_TEXEL_SHARING * width * height:
         return "its quads overlap in the UV map"

@@ -40,8 +40,8 @@ class LevelComparison:
         return TOLERANCE * longest_side(self.surface.mesh.vertices)
 
     def choose(self, levels: Sequence[TexturedMesh], differences: np.ndarray | None = None, preferred_count: int = 1) -> int:
-        """Return the index of the level whose deviations, and `differences` (N,) in renders, are the smallest multiples of the least ones of
-        all N `levels`. One of the first `preferred_count` is preferred if none is larger than its limit."""
+        """Return the index of the level whose deviations, and `differences` (N,) in renders, are the smallest multiples of the least ones
+        of all N `levels`. One of the first `preferred_count` is preferred if none is larger than its limit."""
         values = np.array([self.measure(level) for level in levels]) + self._tolerance
         excess = values / values.min(axis=0) / MAX_RATIO
         if differences is not None:
