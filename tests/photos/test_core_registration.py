@@ -46,6 +46,13 @@ def test_one_of_the_poses_of_three_points_is_that_of_the_camera(seed):
     assert min(np.abs(pose - truth).max() for pose in poses) < 1e-3
 
 
+def test_points_that_are_the_same_to_rounding_have_no_pose():
+    points = np.array([[0.0, 0.0, 0.0], [1e-160, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    directions = np.array([[0.0, 0.0, 1.0], [0.1, 0.0, 1.0], [0.0, 0.1, 1.0]])
+    for order in ([0, 1, 2], [0, 2, 1], [2, 0, 1]):
+        assert solve_p3p(points[order], directions / np.linalg.norm(directions, axis=1, keepdims=True)) == []
+
+
 @pytest.mark.parametrize(("count", "is_lens_known"), [(4, True), (7, False), pytest.param(12, False, marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("is_flat", [False, True])
 def test_exact_pairs_give_the_camera(count, is_lens_known, is_flat):

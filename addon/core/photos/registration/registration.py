@@ -18,6 +18,7 @@ MIN_PAIRS, MIN_PAIRS_WITH_LENS = 6, 4
 FIELDS_OF_VIEW = np.deg2rad([12.0, 18.0, 26.0, 36.0, 48.0, 62.0, 78.0, 96.0])  # along the longer side, where unknown lenses start
 MAX_TRIPLES = 40  # that are tried with every focal length
 STARTS, STARTS_WITHOUT_PAIR = 6, 2  # poses that are refined, and that are when a pair is left out
+MIN_SQUARE_RATIO = 1e-24  # Below it, relative to the other squared distances, two points are the same to rounding.
 SIGMA_PIXELS = 1.0  # expected error of a position
 SIGMA_DISTORTION = 0.1  # expected size of the radial distortion
 MIN_GAIN = 9.0  # factor by which the mean square error decreases without a wrong pair
@@ -188,7 +189,7 @@ def solve_p3p(points: np.ndarray, directions: np.ndarray) -> list[np.ndarray]:
     """
     a2, b2, c2 = (float(((points[i] - points[j]) ** 2).sum()) for i, j in ((1, 2), (0, 2), (0, 1)))
     cos_a, cos_b, cos_c = (float(directions[i] @ directions[j]) for i, j in ((1, 2), (0, 2), (0, 1)))
-    if min(a2, b2, c2) <= 0.0:
+    if min(a2, b2, c2) <= MIN_SQUARE_RATIO * max(a2, b2, c2):
         return []
     difference, total = (a2 - c2) / b2, (a2 + c2) / b2
     polynomial = [
