@@ -6,16 +6,20 @@ import json
 import re
 import stat
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from farfield.addon.core.files.complete_files import is_complete_blend, is_complete_png
+from farfield.addon.core.messages import single_line
+from lib.command_line import SAVED
 
 OLD_CONTENT = b"the old content"
 NOTICE = re.compile(r"Skipped: |--[a-z-]+ is not used with ")
 CANCELLED = 130  # exit code after Ctrl+C
-LIBRARY_MESSAGE = re.compile(  # printed by libpng, and by Blender's dependency graph about metaballs
-    r"libpng (error|warning): |find_node component: |-{20,}$|Failed to add relation |Could not find op_(to|from): |Trace:$"
+LIBRARY_MESSAGE = re.compile(  # printed by the libraries that read images for Blender, and by its dependency graph about metaballs
+    r"libpng (error|warning): |PNG library error|ImageInput::\w+\(\) failed: |IMB_load_image_from_memory: "
+    r"|find_node component: |-{20,}$|Failed to add relation |Could not find op_(to|from): |Trace:$"
     r"|Depth +Type +Name$|-----    ----  |\d+ +Object  "
 )
 TEMPORARY_NAME = re.compile(r"\.?farfield-|.*\.part$")
@@ -70,11 +74,21 @@ def check_messages(code: int, stdout: str, stderr: str, interrupted: bool) -> li
     return problems
 
 
-def check_files(code: int, before: State, after: State, outputs: list[str], ignored: str | None) -> list[Problem]:
+def find_saved(stderr: str, outputs: list[str]) -> list[str]:
+    """Return those `outputs` that the message of a run says it has saved before it ended early, or files that are named after them."""
+    listed = next((line.partition(SAVED)[2] for line in stderr.splitlines()[::-1] if SAVED in line), "")
+    is_shortened = re.search(r" and [\d,]+ more\.$", listed) is not None
+    return [output for output in outputs if is_shortened or re.search(rf'[/\\"]{re.escape(single_line(Path(output).stem))}[^/"]*"', listed)]
+
+
+def check_files(
+    code: int, before: State, after: State, outputs: list[str], ignored: str | None, saved: Sequence[str] = ()
+) -> list[Problem]:
     """Compare the folder of a case before and after the run. `ignored` is the relative path of a folder that may change,
     or be made with the folders that contain it.
 
-    A cancelled run may have written some of its `outputs`; `check_written` tells whether they are complete.
+    A cancelled run may have written some of its `outputs`, and another one that ends early those that it says it has `saved`;
+    `check_written` tells whether they are complete.
     """
 
     def is_ignored(name: str) -> bool:
@@ -96,7 +110,7 @@ def check_files(code: int, before: State, after: State, outputs: list[str], igno
     for name in sorted(set(before) | set(after)):
         if before.get(name) == after.get(name) or is_ignored(name) or TEMPORARY_NAME.match(Path(name).name):
             continue
-        if code == CANCELLED and _belongs_to_output(name, outputs):
+        if _belongs_to_output(name, outputs if code == CANCELLED else saved):
             continue
         kind = (
             "removed" if name not in after else "changed" if name in before else "new folder" if after[name][0] == "folder" else "new file"
@@ -130,12 +144,12 @@ def check_leftovers(folder: Path) -> list[Problem]:
     return [Problem("left in the temporary folder", path.name) for path in folder.iterdir() if not BLENDER_FOLDER.match(path.name)]
 
 
-def _is_beside(name: str, outputs: list[str]) -> bool:
+def _is_beside(name: str, outputs: Sequence[str]) -> bool:
     """Whether a file belongs to an output: the materials and images of an .obj, for instance."""
     return any(Path(name).parent == Path(output).parent and Path(name).name.startswith(Path(output).stem) for output in outputs)
 
 
-def _belongs_to_output(name: str, outputs: list[str]) -> bool:
+def _belongs_to_output(name: str, outputs: Sequence[str]) -> bool:
     """Whether a path is an output, in one, next to one, or a folder that holds one."""
     is_part = any(name == output or name.startswith(output + "/") or output.startswith(name + "/") for output in outputs)
     return is_part or _is_beside(name, outputs)

@@ -146,7 +146,8 @@ def _run_writer(campaign: Campaign, writer: Writer, disk: Path, is_mounted: bool
         after = campaign_checks.read_state(disk)
         problems = campaign_checks.check_messages(outcome.code, outcome.stdout, outcome.stderr, interrupted=False)
         if writer.target != "work":  # finished views stay
-            problems += campaign_checks.check_files(outcome.code, before, after, [writer.target], None)
+            saved = campaign_checks.find_saved(outcome.stderr, [writer.target])
+            problems += campaign_checks.check_files(outcome.code, before, after, [writer.target], None, saved)
         if outcome.code == 0:
             problems += campaign_checks.check_output(disk / writer.target)
         problems += campaign_checks.check_leftovers(campaign.sandbox / "tmp")

@@ -156,10 +156,11 @@ def _run_command(
     outputs += [state[1] for path, state in before.items() if state[0] == "link" and path in outputs]  # what the link leads to is replaced
     ignored = None if case.work is None else os.path.relpath(case.work, folder)
     problems = campaign_checks.check_messages(code, stdout, stderr, case.interrupt_after is not None)
-    problems += campaign_checks.check_files(code, before, after, outputs, ignored)
+    saved = campaign_checks.find_saved(stderr, outputs)
+    problems += campaign_checks.check_files(code, before, after, outputs, ignored, saved)
     if code == 0 and not stdout.startswith("usage:"):
         problems += [problem for path in case.outputs for problem in campaign_checks.check_output(path)]
-    elif code == campaign_checks.CANCELLED:
+    elif code == campaign_checks.CANCELLED or saved:
         problems += campaign_checks.check_written(folder, before, after, outputs)
     problems = add_leftovers(problems, specification.sandbox)
     return {

@@ -27,10 +27,11 @@ farfield = environment.import_farfield()
 
 from farfield.addon.compat import blender_version
 from farfield.addon.core.errors import FarfieldError, FileError, SettingsError
+from farfield.addon.core.files.atomic_write import recorded_outputs
 from farfield.addon.core.files.defect_log import defect_message, write_defect_log
 from farfield.addon.core.files.file_access import convert_os_errors, error_reason, is_stream, is_unicode
 from farfield.addon.core.jobs.progress import Progress, time_left
-from farfield.addon.core.messages import single_line
+from farfield.addon.core.messages import list_first, quote_names, single_line
 from farfield.addon.core.settings import Settings, flag_of, from_flags, unused_flags, with_flags
 from farfield.addon.operators.job_run import format_duration
 from lib.atomic_output import atomic_file
@@ -38,6 +39,7 @@ from lib.run_files import PathType, RunFiles
 from lib.script_stdout import discard, script_stdout
 
 SUCCESS, DEFECT, INVALID_INPUT, CANCELLED = 0, 1, 2, 130
+SAVED = "Already saved:"  # begins the list of the outputs that are complete although the run ended early
 LINE_WIDTH = 78
 NEGATIVE_NUMBER = re.compile(r"-\.?\d")
 STDOUT_PATH = re.compile(r"(^|(?<==))/(?:dev/stdout|dev/fd/1|proc/self/fd/1)$")  # as an argument, or as --flag=PATH
@@ -185,9 +187,26 @@ def run(main: Callable[[list[str], ProgressLine], str | None]) -> NoReturn:
 
 
 def _run(main: Callable[[list[str], ProgressLine], str | None], arguments: list[str], stdout: TextIO, verbose: bool) -> int:
-    """Return the exit code."""
+    """Return the exit code. An error that comes after some outputs are complete does not undo them; its message names them."""
     line = ProgressLine()
     _handle_signals(line)
+    with recorded_outputs() as outputs:
+        code, message = _run_main(main, arguments, line, stdout, verbose)
+    if message:
+        print_message(" ".join(filter(None, (message, _describe_saved(outputs)))))
+    return code
+
+
+def _describe_saved(outputs: list[Path]) -> str:
+    """Return a sentence about the outputs that a run has written before it ended early, "" if there are none."""
+    saved = [path for path in dict.fromkeys(outputs) if os.path.lexists(path)]
+    return f"{SAVED} {list_first(quote_names([path]) for path in saved)}." if saved else ""
+
+
+def _run_main(
+    main: Callable[[list[str], ProgressLine], str | None], arguments: list[str], line: ProgressLine, stdout: TextIO, verbose: bool
+) -> tuple[int, str]:
+    """Return the exit code, and the message of an error."""
     script = Path(main.__code__.co_filename).name
     try:
         _disable_installed_extension()
@@ -199,22 +218,18 @@ def _run(main: Callable[[list[str], ProgressLine], str | None], arguments: list[
             farfield.unregister()
         if result is not None:
             _print_result(result, stdout)
-        return SUCCESS
+        return SUCCESS, ""
     except FarfieldError as error:
-        print_message(with_flags(error) if isinstance(error, SettingsError) else error)
-        return INVALID_INPUT
+        return INVALID_INPUT, str(with_flags(error) if isinstance(error, SettingsError) else error)
     except MemoryError:
-        print_message(f"{script} needs more memory than there is; choose settings that need less, or give it smaller input.")
-        return INVALID_INPUT
+        return INVALID_INPUT, f"{script} needs more memory than there is; choose settings that need less, or give it smaller input."
     except KeyboardInterrupt:
-        print_message("Cancelled.")
-        return CANCELLED
+        return CANCELLED, "Cancelled."
     except Exception as error:  # noqa: BLE001 catch-all: a defect ends in one sentence, too
         log = write_defect_log(script, error, [f"Blender {blender_version()}", f"Arguments: {arguments}"])
         if verbose:
             traceback.print_exception(error)
-        print_message(defect_message(script, error, log))
-        return DEFECT
+        return DEFECT, defect_message(script, error, log)
 
 
 def _handle_signals(line: ProgressLine) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.files import atomic_write as module
-from farfield.addon.core.files.atomic_write import atomic_folder, atomic_write, write_bytes_atomically
+from farfield.addon.core.files.atomic_write import atomic_folder, atomic_write, recorded_outputs, write_bytes_atomically
 
 only_on_posix = pytest.mark.skipif(os.name == "nt", reason="links and mode bits are those of POSIX")
 
@@ -54,6 +54,21 @@ def test_every_file_of_a_folder_is_on_the_disk_before_it_appears(tmp_path, calls
         (path / "d").touch()
         (path / "e").touch()
     assert [word for word, _ in calls] == ["sync", "sync", "replace", "replace", "sync"]
+
+
+def test_outputs_that_appear_are_recorded_in_their_order(tmp_path):
+    with recorded_outputs() as outputs:
+        with atomic_write(tmp_path / "one") as path:
+            path.touch()
+        with atomic_folder(tmp_path) as folder:
+            (folder / "two").touch()
+            assert outputs == [tmp_path / "one"]
+        with pytest.raises(ValueError, match="fails"), atomic_write(tmp_path / "three"):
+            raise ValueError("fails")
+        write_bytes_atomically(tmp_path / "four", b"of a work folder")
+    with atomic_write(tmp_path / "five") as path:
+        path.touch()
+    assert outputs == [tmp_path / "one", tmp_path / "two"]
 
 
 @pytest.mark.parametrize("write", [atomic_write, lambda target: atomic_folder(target.parent)])

@@ -83,6 +83,11 @@ def test_other_strategies_give_text(content, value, name):
         (0, "--gamma is not used with --no-exposure.\n", []),
         (130, "Cancelled.\n", []),
         (2, "libpng error: IDAT: CRC error\nThe image is damaged.\n", []),
+        (
+            2,
+            "ImageInput::read_image() failed: PNG read error\nPNG library error\nIMB_load_image_from_memory: unknown\nIt is damaged.\n",
+            [],
+        ),
         (0, 'find_node component: Could not find ID OBA\nFailed to add relation "Metaball"\n\nTrace:\n\n1        Object         A\n', []),
         (0, "a warning\n", ["1 lines on stderr with exit code 0"]),
         (2, "", ["0 lines on stderr with exit code 2"]),
@@ -134,6 +139,24 @@ def test_a_cancelled_run_may_leave_complete_outputs(tmp_path):
     written = campaign_checks.check_written(tmp_path, before, after, outputs)
     assert [(problem.kind, problem.text) for problem in written] == [("output not complete", "a.json")]
     assert campaign_checks.check_written(tmp_path, after, after, outputs) == []
+
+
+def test_a_run_that_fails_may_leave_the_outputs_that_its_message_names(tmp_path):
+    before = campaign_checks.read_state(tmp_path)
+    outputs = ["new/out.blend", "export.btf", "r.json"]
+    (tmp_path / "new").mkdir()
+    for name in ("new/out.blend", "export_L0.btf", "r.json"):
+        (tmp_path / name).write_bytes(b"{}")
+    after = campaign_checks.read_state(tmp_path)
+
+    def find_unexpected(message: str) -> list[str]:
+        saved = campaign_checks.find_saved(f"Skipped: A.\n{message}\n", outputs)
+        return [problem.text for problem in campaign_checks.check_files(2, before, after, outputs, None, saved)]
+
+    assert find_unexpected("The disk is full.") == ["export_L0.btf", "new", "new/out.blend", "r.json"]
+    assert find_unexpected(f'The disk is full. Already saved: "{tmp_path}/new/out.blend".') == ["export_L0.btf", "r.json"]
+    assert find_unexpected('The disk is full. Already saved: "new/out.blend", "/a/export_L0.btf".') == ["r.json"]
+    assert find_unexpected('The disk is full. Already saved: "a", "b", "c" and 2 more.') == []
 
 
 @pytest.mark.exhaustive

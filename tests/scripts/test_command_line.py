@@ -44,6 +44,14 @@ def main(arguments, line):
         return json.dumps({"name": "line\\nbreak"}, indent=1)
     if given.what == "input":
         raise FileError('"line\\nbreak" is empty.')
+    if given.what in ("full", "cancel"):
+        with temporary_folder() as folder:
+            command_line.write_report(folder / "temporary.json", {"number": 1})
+        for name in ("out.blend", "inner/report.json"):
+            command_line.write_report(given.path / name, {"number": 1})
+        if given.what == "cancel":
+            raise KeyboardInterrupt
+        raise FileError("The disk is full.")
     if given.what == "memory":
         raise MemoryError
     if given.what == "report":
@@ -94,6 +102,15 @@ def test_a_defect_is_one_sentence_with_a_private_log(script):
     text = log.read_text(encoding="utf-8")
     assert "Traceback" in text and "in main" in text and "Blender" in text and "Arguments: ['defect']" in text
     assert "Traceback" in verbose.stderr
+
+
+def test_an_error_after_some_outputs_names_them(script, tmp_path):
+    """A bake that took hours stays although an export of it fails."""
+    outcomes = run(script, *([what, "--path", str(tmp_path / what)] for what in ("full", "cancel")))
+    for outcome, what, message in zip(outcomes, ("full", "cancel"), ("The disk is full.", "Cancelled."), strict=True):
+        paths = [tmp_path / what / "out.blend", tmp_path / what / "inner" / "report.json"]
+        assert outcome.stderr == f'{message} Already saved: "{paths[0]}", "{paths[1]}".\n'
+        assert sorted(path for path in (tmp_path / what).rglob("*") if path.is_file()) == sorted(paths)
 
 
 def test_names_do_not_break_lines(script):

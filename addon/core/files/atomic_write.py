@@ -6,6 +6,7 @@ import shutil
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
 
 from .file_access import check_writable, check_writable_folder, convert_os_errors, resolve_links
@@ -14,6 +15,26 @@ from .temporary_folders import temporary_folder
 TEMPORARY_SUFFIX = ".part"
 SYNC_IS_UNSUPPORTED = frozenset((errno.EINVAL, errno.ENOTSUP, errno.ENOSYS, errno.EBADF))  # by some network file systems
 FOLDER_IS_UNREADABLE = frozenset((errno.EACCES, errno.EPERM))  # it may be writable all the same
+_RECORDED: ContextVar[list[Path] | None] = ContextVar("recorded", default=None)  # by `recorded_outputs`
+
+
+@contextmanager
+def recorded_outputs() -> Iterator[list[Path]]:
+    """Yield a list that gets the paths of all files and folders that appear within the block, in their order: an error may come after
+    some outputs of a run are complete."""
+    outputs: list[Path] = []
+    token = _RECORDED.set(outputs)
+    try:
+        yield outputs
+    finally:
+        _RECORDED.reset(token)
+
+
+def record_output(path: Path) -> None:
+    """Note that an output has appeared, see `recorded_outputs`."""
+    outputs = _RECORDED.get()
+    if outputs is not None:
+        outputs.append(path)
 
 
 @contextmanager
@@ -32,6 +53,7 @@ def atomic_write(target: Path) -> Iterator[Path]:
         with _new_folder(destination.parent), temporary_folder(destination.parent) as folder:
             yield folder / target.name
             replace_durably(folder / target.name, destination)
+            record_output(target)
 
 
 @contextmanager
@@ -148,6 +170,7 @@ def _move(source: Path, target: Path) -> None:
     destination = resolve_links(target)
     try:
         source.replace(destination)
+        record_output(target)
     except OSError as error:
         if error.errno != errno.EXDEV:
             raise

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ...errors import FileError
-from ...files.atomic_write import TEMPORARY_SUFFIX, sync
+from ...files.atomic_write import TEMPORARY_SUFFIX, record_output, sync
 from ...files.backups import backup_path
 from ...files.file_access import check_writable, convert_os_errors, resolve_links
 from ...files.temporary_folders import temporary_folder
@@ -89,6 +89,7 @@ def replace_store(out: Path) -> Iterator[Path]:
             except OSError:
                 recover_store(out)
                 raise
+            record_output(out)
             if _is_store(old):
                 old.rename(temporary / "old")  # The end of the block deletes it, or the next run if this one is killed now.
             elif old.is_dir():
