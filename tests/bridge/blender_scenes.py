@@ -50,6 +50,12 @@ def ball(name: str = "Ball", material: bpy.types.Material | None = None) -> bpy.
     return _finish(name, material)
 
 
+def damage_packed_image(image: bpy.types.Image) -> None:
+    """Replace the packed file of an image by bytes that are no image."""
+    image.pack(data=b"no image", data_len=8)
+    image.reload()
+
+
 def card(name: str = "Card", material: bpy.types.Material | None = None) -> bpy.types.Object:
     """Add a square from -1 to 1 in the XY plane."""
     bpy.ops.mesh.primitive_plane_add(size=2.0)

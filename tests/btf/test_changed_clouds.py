@@ -146,6 +146,10 @@ def resize_image(level: bpy.types.Object) -> None:
     node.image.scale(7, 7)
 
 
+def damage_image(level: bpy.types.Object) -> None:
+    blender_scenes.damage_packed_image(pbr_image(level, "Front normal"))
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -169,6 +173,7 @@ def resize_image(level: bpy.types.Object) -> None:
         (lambda level: level.data.clear_geometry(), "it has no quads"),
         (lambda level: level.data.materials.clear(), "its material slot was removed"),
         (resize_image, "its images have another size"),
+        (damage_image, 'its image "Ball Cloud L1 Front Normal" cannot be read'),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )

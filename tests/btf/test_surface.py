@@ -184,6 +184,14 @@ def test_a_map_without_pixels_is_named(tmp_path):
         check_maps(built.levels[0])
 
 
+def test_a_packed_map_that_is_damaged_is_named():
+    built = build_cloud(blender_scenes.box())
+    image = pbr_image(built.levels[0], map_label(SIDES[1], MAPS[0]))
+    blender_scenes.damage_packed_image(image)
+    with pytest.raises(FileError, match=f'The packed image "{image.name}" is damaged and cannot be read; replace it'):
+        check_maps(built.levels[0])
+
+
 def test_common_shader_parameters_are_copied(cloud):
     (shader,) = {node for node in nodes_in(cloud.levels[0].data.materials[0].node_tree) if node.type == "BSDF_PRINCIPLED"}
     assert shader.inputs["Coat Roughness"].default_value == pytest.approx(0.4)

@@ -69,7 +69,9 @@ def find_path(image: bpy.types.Image) -> str:
 
 
 def check_pixels(image: bpy.types.Image) -> None:
-    """Raise FileError if an image has no pixels, for instance because its file is missing."""
+    """Raise FileError if an image has no pixels, for instance because its file is missing, or its packed file is damaged."""
+    if not all(image.size) and image.packed_files:
+        raise FileError(f'The packed image "{image.name}" is damaged and cannot be read; replace it, or remove it from the material.')
     if not all(image.size):
         raise FileError(
             f'The image "{image.name}" is missing or empty ("{find_path(image)}"); find its file, or remove it from the material.'

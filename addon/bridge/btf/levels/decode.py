@@ -96,10 +96,11 @@ class _LevelImages:
         return label in self._images
 
     def pixels(self, label: str) -> np.ndarray:
-        """Return the pixels (H, W, 4) of an image; raises GeometryError if it is missing."""
+        """Return the pixels (H, W, 4) of an image; raises GeometryError if it is missing or damaged."""
         image = self._images.get(label)
-        if image is None or (not image.has_data and not image.packed_files):
-            raise GeometryError(f'The image "{label}" of the relightable textures of "{self._name}" is missing; bake them again.')
+        if image is None or not all(image.size):
+            problem = "is damaged" if image is not None and image.packed_files else "is missing"
+            raise GeometryError(f'The image "{label}" of the relightable textures of "{self._name}" {problem}; bake them again.')
         return read_pixels(image)
 
     def weights(self, label: str, count: int, height: int) -> np.ndarray:

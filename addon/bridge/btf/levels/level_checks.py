@@ -127,10 +127,11 @@ def _drawn_problem(mesh: bpy.types.Mesh, primitive_count: int) -> str:
 
 def _atlas_problem(level_object: bpy.types.Object) -> str:
     size = read_atlas_size(level_object)
-    images = (pbr_image(level_object, label) for label in PBR_LABELS)
-    if any(tuple(image.size) != size for image in images if image is not None):
-        return "its images have another size than its atlas"
-    return ""
+    images = [image for label in PBR_LABELS if (image := pbr_image(level_object, label)) is not None]
+    unreadable = next((image.name for image in images if not all(image.size)), None)
+    if unreadable is not None:
+        return f'its image "{unreadable}" cannot be read'
+    return "its images have another size than its atlas" if any(tuple(image.size) != size for image in images) else ""
 
 
 def _corners_problem(quads: QuadPolygons, level_object: bpy.types.Object) -> str:
