@@ -37,7 +37,6 @@ from farfield.addon.operators.job_run import run_job
 from lib import command_line, run_files, scene_files
 from lib.atomic_output import atomic_folder
 from lib.run_files import obj_materials
-from lib.script_stdout import mute_stderr
 
 EXTENSIONS = (".blend", ".obj", ".glb")
 
@@ -80,10 +79,10 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     with clock.stage("write"):
         for cloud in read_built_clouds(job) if given.cross_fade else []:
             cloud.add_crossfade(bpy.context, settings[CrossfadeSettings].fade_range)
-        write_output(out, job)
+        lacking = write_output(out, job)
     if given.report is not None:
         command_line.write_report(given.report.absolute(), build_report(job, clock))
-    return join_sentences([summary, moved])
+    return join_sentences([summary, moved, *lacking])
 
 
 def prepare_input(path: Path | None, settings: BillboardSettings, options: BuildOptions) -> BillboardJob:
@@ -95,20 +94,20 @@ def prepare_input(path: Path | None, settings: BillboardSettings, options: Build
     return job
 
 
-def write_output(out: Path, job: BillboardJob) -> None:
-    """Write the scene, or only the levels, depending on the extension of `out`."""
+def write_output(out: Path, job: BillboardJob) -> list[str]:
+    """Write the scene, or only the levels, depending on the extension of `out`. Return sentences about what it lacks."""
     extension = out.suffix.lower()
     if extension == ".blend":
         scene_files.save_scene(out)
-        return
+        return []
     levels = [level for cloud in read_built_clouds(job) for level in cloud.levels]
-    with atomic_folder(out.parent) as folder, mute_stderr():  # the exporter prints the tracebacks of errors that it also raises
+    with atomic_folder(out.parent) as folder:
         if extension == ".obj":
             write_obj(levels, folder / out.name)
             is_ours = partial(is_named_by, material_path(out))
             check_outputs([Output("an image of --out", out.with_name(path.name), is_ours=is_ours) for path in folder.glob("*.png")], [])
-        else:
-            write_glb(levels, folder / out.name)
+            return []
+        return write_glb(levels, folder / out.name)
 
 
 def read_built_clouds(job: BillboardJob) -> list[SceneCloud]:

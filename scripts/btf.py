@@ -22,6 +22,7 @@ import numpy as np
 from farfield.addon.bridge.billboards.scene_clouds import clouds_in
 from farfield.addon.bridge.btf.levels.emission_levels import link_suns
 from farfield.addon.bridge.overlays.line_chart import draw_line_chart
+from farfield.addon.core.btf.formats.fmf import check_direction_counts
 from farfield.addon.core.btf.settings import BtfSettings, ExportSettings
 from farfield.addon.core.errors import GeometryError, SettingsError
 from farfield.addon.core.files.filenames import unique_filenames
@@ -75,26 +76,27 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     out = options.out.absolute()
     export_paths = [path.absolute() for path in options.export]
     check_model(settings, options.curve, export_paths)
+    check_directions(settings, export_settings, export_paths)
     clock = StageClock()
     with clock.stage("read"):
         scene_files.open_scene(options.input.absolute(), options.files)
         sun = find_or_create_sun(options.sun) if settings.bakes_emission else None
-        jobs = prepare_jobs(settings, None if options.work is None else options.work.absolute())
+        jobs = prepare_jobs(settings, None if options.work is None else options.work.absolute(), export_paths)
     summaries = [
         run_to_end(subprogress(run_job(job), index / len(jobs), (index + 1) / len(jobs)), line.show) for index, job in enumerate(jobs)
     ]
     line.clear()
     with clock.stage("write"):
         if sun is not None:
-            for cloud in clouds_in(bpy.context.scene):
-                for level in cloud.levels:
-                    link_suns(level, [sun], world_color())
+            for level in all_levels():
+                link_suns(level, [sun], world_color())
         scene_files.save_scene(out)
     with clock.stage("export"):
-        levels = [level for cloud in clouds_in(bpy.context.scene) for level in cloud.levels]
         for path in export_paths:
-            run_to_end(run_job(export_job.prepare_export(levels, path, export_settings)), line.show)
+            job = export_job.prepare_export(all_levels(), path, export_settings)
+            run_to_end(run_job(job), line.show)
             line.clear()
+            summaries += job.remarks
     if options.curve is not None:
         with atomic_file(options.curve.absolute()) as temporary:
             write_png(temporary, draw_curve(jobs))
@@ -113,11 +115,24 @@ def check_model(settings: BtfSettings, curve: Path | None, exports: list[Path]) 
         raise SettingsError(f"{needing} needs baked lighting; add --model emission.", ("model",))
 
 
-def prepare_jobs(settings: BtfSettings, work_folder: Path | None) -> list[BakeJob]:
-    """Return one job per cloud of the open scene."""
+def check_directions(settings: BtfSettings, export_settings: ExportSettings, exports: list[Path]) -> None:
+    """Raise SettingsError if a .btf file cannot store the directions that will be baked."""
+    if export_settings.directions == "baked" and any(path.suffix.lower() == export_job.FMF for path in exports):
+        check_direction_counts(settings.view_count, settings.light_count)
+
+
+def all_levels() -> list[bpy.types.Object]:
+    """Return the levels of all clouds of the open scene."""
+    return [level for cloud in clouds_in(bpy.context.scene) for level in cloud.levels]
+
+
+def prepare_jobs(settings: BtfSettings, work_folder: Path | None, exports: list[Path]) -> list[BakeJob]:
+    """Return one job per cloud of the open scene, after a check that its levels can be exported."""
     clouds = clouds_in(bpy.context.scene)
     if not clouds:
         raise GeometryError("The file contains no billboard cloud; build one with scripts/billboards.py.")
+    for path in exports:
+        export_job.check_levels(all_levels(), path)
     if work_folder is not None and work_folder.exists():
         check_owner(work_folder)
     names = unique_filenames([cloud.collection.name for cloud in clouds])

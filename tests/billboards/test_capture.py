@@ -14,7 +14,7 @@ from farfield.addon.bridge.billboards.atlas_meshes import compute_placement
 from farfield.addon.bridge.billboards.capture import capture_textures
 from farfield.addon.bridge.imaging.images import check_images
 from farfield.addon.core.billboards.settings import BillboardSettings
-from farfield.addon.core.errors import FileError
+from farfield.addon.core.errors import FileError, GeometryError
 from farfield.addon.core.jobs.progress import run_to_end
 
 SETTINGS = BillboardSettings(samples=4)
@@ -93,6 +93,16 @@ def test_position_nodes_return_scene_positions(node, output):
     covered = textures.front.color[..., 3] > 0.99
     expected = positions[covered] - (source.origin if output == "Object" else 0.0)
     assert textures.front.color[covered][:, :3] == pytest.approx(np.maximum(expected, 0.0), abs=0.03)
+
+
+def test_an_object_for_coordinates_needs_a_finite_transform():
+    material, target = blender_scenes.create_material("Position"), blender_scenes.box("Target")
+    coordinates = material.node_tree.nodes.new("ShaderNodeTexCoord")
+    coordinates.object, target.location.x = target, float("nan")
+    blender_scenes.link(material, coordinates.outputs["Object"], blender_scenes.shader_of(material).inputs["Base Color"])
+    source = blender_scenes.read_objects(blender_scenes.box(material=material))
+    with pytest.raises(GeometryError, match='"Target" has a transform that is not finite, and a material uses its coordinates; clear it'):
+        capture_level(source)
 
 
 def test_generated_coordinates_span_the_box():

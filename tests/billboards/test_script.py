@@ -213,6 +213,22 @@ def test_glb_output_has_textures_and_properties(cube, name):
         assert max(level.dimensions) == pytest.approx(2.0, abs=0.5)
 
 
+def test_glb_output_for_an_orthographic_camera(tmp_path):
+    """It always shows the error of these levels: their switch distance is infinite, which no .glb can store."""
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    bpy.ops.mesh.primitive_cube_add()
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    camera.data.type, camera.data.ortho_scale = "ORTHO", 0.5
+    bpy.context.scene.collection.objects.link(camera)
+    bpy.context.scene.camera = camera
+    scene_files.save_scene(tmp_path / "in.blend")
+    result = main(tmp_path / "in.blend", "--out", tmp_path / "out.glb", "--error", "10%", "--levels", "1", "--samples", "1")
+    assert result.endswith('The .glb lacks farfield_switch_distance of "Cube Cloud L0".')
+    scene_files.open_scene(tmp_path / "out.glb")
+    (level,) = cloud_levels()
+    assert "farfield_error" in level and "farfield_switch_distance" not in level
+
+
 def test_equal_seeds_give_equal_reports(cube):
     reports = []
     for index in range(2):

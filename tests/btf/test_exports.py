@@ -16,6 +16,7 @@ import bpy
 from bridge import blender_scenes
 from bridge.bakes import build_small_cloud, open_cloud
 from farfield.addon.bridge.billboards.cloud_materials import FRONT_COLOR, FRONT_NORMAL
+from farfield.addon.bridge.billboards.exports import write_glb
 from farfield.addon.bridge.billboards.level_objects import PBR_MATERIAL, read_level_texels
 from farfield.addon.bridge.billboards.scene_clouds import clouds_in
 from farfield.addon.bridge.btf.export import image_folders
@@ -23,10 +24,12 @@ from farfield.addon.bridge.btf.levels.decode import read_relightable_texture
 from farfield.addon.bridge.btf.levels.emission_levels import assign_relightable_material
 from farfield.addon.bridge.imaging.images import read_pixels
 from farfield.addon.bridge.rendering.render_scene import render_scene
+from farfield.addon.bridge.shading.node_builder import nodes_in
 from farfield.addon.core.btf.compression import CompressedTextures
 from farfield.addon.core.btf.factorization.factors import Factors
 from farfield.addon.core.btf.settings import BtfSettings, ExportSettings
 from farfield.addon.core.errors import FileError, GeometryError, SettingsError
+from farfield.addon.core.files.glb import load_glb
 from farfield.addon.core.geometry.directions import bonn_directions
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.operators.btf import export_job
@@ -164,6 +167,30 @@ def test_a_glb_contains_the_normals_of_the_pbr_maps(cloud, tmp_path):
     np.testing.assert_allclose(world_normals[mask], expected[mask], atol=0.03)
 
 
+def test_a_glb_leaves_out_properties_that_json_cannot_store(cloud, tmp_path, capfd):
+    """The switch distance is infinite for an orthographic camera that always shows the error."""
+    (level,), scene = cloud.levels, bpy.context.scene
+    level["farfield_switch_distance"], level["limits"], level["kept"] = float("inf"), {"low": [0.0, float("nan")]}, {"low": [0.0, 1.0]}
+    scene["size"] = float("nan")
+    job = prepare_export(cloud.levels, tmp_path / "cloud.glb", BAKED)
+    assert run_to_end(run_job(job)) == " ".join(['Wrote "cloud.glb".', *job.remarks])
+    assert job.remarks == [
+        f'The .glb lacks farfield_switch_distance, limits of "{level.name}".',
+        f'The .glb lacks size of "{scene.name}".',
+    ]
+    extras = next(node["extras"] for node in load_glb((tmp_path / "cloud.glb").read_bytes())["nodes"] if "extras" in node)
+    assert "farfield_error" in extras and extras["kept"] == {"low": [0.0, 1.0]} and not {"farfield_switch_distance", "limits"} & set(extras)
+    assert np.isinf(level["farfield_switch_distance"]) and np.isnan(level["limits"]["low"][1]) and np.isnan(scene["size"])
+    assert capfd.readouterr().err == ""
+
+
+def test_an_error_of_the_exporter_of_glb_files_is_one_sentence(cloud, tmp_path, capfd):
+    (tmp_path / "cloud.glb").mkdir()
+    with pytest.raises(FileError, match=r"^Blender's glTF exporter failed: \[Errno \d+\] [^\n]*cloud\.glb'\.$"):
+        write_glb(cloud.levels, tmp_path / "cloud.glb")
+    assert capfd.readouterr().err == ""
+
+
 def read_frames(item, texels) -> np.ndarray:
     """Return tangent, bitangent and normal (N, 3, 3) in world space at every texel of an imported mesh."""
     mesh, matrix = item.data, np.array(item.matrix_world)[:3, :3]
@@ -220,10 +247,25 @@ def set_uv(level: bpy.types.Object, value: float) -> None:
     ids=["edit mode", "vertex", "uv", "far uv", "geometry", "large atlas", "small atlas", "error"],
 )
 def test_textures_of_quads_that_cannot_be_read_are_rejected(cloud, tmp_path, change, message):
-    """Parallax offsets need the quads."""
+    """Parallax offsets and the normals of a .glb need the quads."""
     change(cloud.levels[0])
-    with pytest.raises(GeometryError, match=message):
-        prepare_export(cloud.levels, tmp_path / "images", BAKED)
+    for name in ("images", "cloud.glb"):
+        with pytest.raises(GeometryError, match=message):
+            prepare_export(cloud.levels, tmp_path / name, BAKED)
+
+
+def test_a_level_whose_transform_is_not_finite_does_not_become_a_glb(cloud, tmp_path):
+    cloud.levels[0].scale.x = float("nan")
+    with pytest.raises(GeometryError, match="has a transform that is not finite; clear it"):
+        prepare_export(cloud.levels, tmp_path / "cloud.glb", BAKED)
+
+
+@pytest.mark.parametrize("label", ["Chromaticity", "Alpha Basis"])
+def test_damaged_images_are_named(cloud, label):
+    nodes = nodes_in(cloud.levels[0].data.materials[0].node_tree)
+    blender_scenes.damage_packed_image(next(node.image for node in nodes if node.label == label))
+    with pytest.raises(GeometryError, match=f'The image "{label}" .* is damaged; bake them again'):
+        read_relightable_texture(cloud.levels[0])
 
 
 def test_images_of_another_size_than_the_atlas_are_rejected(cloud):
@@ -270,6 +312,15 @@ def test_an_octahedral_atlas_is_captured_from_the_source(cloud, tmp_path, monkey
     # A ball of radius 1 covers the same fraction of each frame.
     coverage = alpha.reshape(5, 32, 5, 32).mean(axis=(1, 3))
     np.testing.assert_allclose(coverage, np.pi * (1.0 / metadata["half_side"]) ** 2 / 4.0, rtol=0.02)
+
+
+@pytest.mark.parametrize("value", [float("nan"), 3e38])
+def test_an_octahedral_atlas_needs_a_source_with_coordinates_that_can_be_rendered(cloud, tmp_path, value):
+    bpy.data.objects["Bällchen"].scale.x = value
+    job = prepare_export(cloud.levels, tmp_path / "a.octahedral", BAKED)
+    with pytest.raises(GeometryError, match=r'"Bällchen" has [\d,]+ vertices with coordinates (that are not finite|above)'):
+        run_to_end(run_job(job))
+    assert not list(tmp_path.iterdir())
 
 
 def test_an_octahedral_atlas_needs_the_source(cloud, tmp_path):

@@ -12,7 +12,7 @@ from bridge.bakes import to_flags
 from farfield.addon.bridge.billboards.scene_clouds import clouds_in
 from farfield.addon.bridge.btf.levels.decode import read_relightable_texture
 from farfield.addon.bridge.btf.materials.emission_material import CLUSTERS
-from farfield.addon.core.errors import FileError, SettingsError
+from farfield.addon.core.errors import FileError, GeometryError, SettingsError
 from fmf_reader import read_fmf
 from lib import command_line, scene_files
 
@@ -89,6 +89,11 @@ def test_local_pca_with_exports(cloud_file):
         (("--export", "{folder}/a.glb", "--export", "{folder}/b/../a.glb"), FileError, "same file"),
         (("--export", "{folder}/a.glb", "--report", "{folder}/a.glb"), FileError, "same file"),
         ((*EMISSION, "--export", "{folder}/in.blend/images"), FileError, "not a folder"),
+        (
+            (*EMISSION, "--export", "{folder}/a.btf", "--directions", "baked", "--views-per-side", "2", "--lights-per-side", "3"),
+            SettingsError,
+            "equal numbers of view and light directions, not 4 and 9",
+        ),
     ],
 )
 def test_invalid_arguments_are_rejected_before_the_bake(cloud_file, flags, error, message):
@@ -96,3 +101,12 @@ def test_invalid_arguments_are_rejected_before_the_bake(cloud_file, flags, error
     with pytest.raises(error, match=message):
         main(cloud_file, "--out", folder / "out.blend", *(flag.format(folder=folder) for flag in flags))
     assert [path.name for path in folder.iterdir()] == ["in.blend"]
+
+
+def test_levels_that_cannot_be_exported_are_named_before_the_bake(cloud_file):
+    scene_files.open_scene(cloud_file)
+    clouds_in(bpy.context.scene)[0].levels[0].rotation_euler.x = float("nan")
+    scene_files.save_scene(cloud_file)
+    with pytest.raises(GeometryError, match=r'The level ".* Cloud L0" has a transform that is not finite; clear it'):
+        main(cloud_file, "--out", cloud_file.with_name("out.blend"), "--export", cloud_file.with_name("a.glb"), "--samples", "1")
+    assert [path.name for path in cloud_file.parent.iterdir()] == ["in.blend"]

@@ -6,8 +6,8 @@ import bpy
 import numpy as np
 import pytest
 
+from farfield.addon.bridge.gltf_export import enabled_gltf
 from farfield.addon.bridge.texmesh import glb_levels
-from farfield.addon.bridge.texmesh.glb_levels import enabled_gltf
 from farfield.addon.bridge.texmesh.level_sets import level_sets_in
 from farfield.addon.core.errors import FileError, SettingsError
 from farfield.addon.core.texmesh.settings import ExportSettings

@@ -7,16 +7,20 @@ import bpy
 import numpy as np
 
 from ...compat import enable_nodes
+from ...core.errors import GeometryError
 from ...core.files.filenames import safe_filename, unique_filenames
 from ...core.files.outputs import OBJ_COMMENT
 from ...core.geometry.transforms import transform_points
 from ...core.imaging.images import dilate
+from ...core.messages import describe_lacking
 from ..geometry.mesh_arrays import read_positions, read_uvs, read_values
+from ..gltf_export import export_gltf, finite_properties
 from ..imaging.images import create_image, read_pixels
 from .cloud_materials import FRONT_COLOR, FRONT_NORMAL
 from .clouds import CORNER_NORMALS
 from .level_objects import labeled_image, pbr_image, read_level_texels
 
+GLB_OPTIONS = {"export_format": "GLB", "use_selection": True, "export_extras": True, "export_image_format": "AUTO"}
 FLAT_NORMAL = np.float32([0.0, 0.0, 1.0])  # In tangent space.
 
 
@@ -48,13 +52,17 @@ def material_path(path: Path) -> Path:
     return path.with_name(f"{safe_filename(path.stem)}.mtl")
 
 
-def write_glb(levels: list[bpy.types.Object], path: Path) -> None:
+def write_glb(levels: list[bpy.types.Object], path: Path) -> list[str]:
     """Write `levels` as nodes of one `.glb` with embedded textures. Each node has the level's custom properties as extras.
 
+    Returns sentences about custom properties that it lacks, since their numbers are not finite.
+
     Raises:
-        RuntimeError: Blender's exporter failed.
+        FileError: Blender's exporter cannot write the file.
+        GeometryError: a level cannot be exported, see `check_glb_levels`.
         OSError: the file cannot be renamed.
     """
+    check_glb_levels(levels)
     has_extension = os.path.splitext(path.name)[1] != ""  # noqa: PTH122 as the exporter sees it: in "...glb" it finds none, and adds one
     exported = path if has_extension else path.with_name(f"{safe_filename(path.name)}.glb")
     layer = bpy.context.view_layer
@@ -62,17 +70,14 @@ def write_glb(levels: list[bpy.types.Object], path: Path) -> None:
     for item in selected:
         item.select_set(False)
     copies: list[bpy.types.Object] = []
+    owners: dict[bpy.types.ID, str] = {}
     try:
         for level in levels:
             copies.append(_create_export_copy(level))
-        bpy.ops.export_scene.gltf(
-            filepath=str(exported),
-            export_format="GLB",
-            use_selection=True,
-            export_extras=True,
-            export_image_format="AUTO",
-            export_animations=False,
-        )
+            owners |= dict.fromkeys((copies[-1], copies[-1].data), level.name)
+        owners |= {scene: scene.name for scene in bpy.data.scenes if scene.is_editable}
+        with finite_properties(owners) as lacking:
+            export_gltf(exported, GLB_OPTIONS)
         if exported != path:
             exported.replace(path)
     finally:
@@ -86,6 +91,14 @@ def write_glb(levels: list[bpy.types.Object], path: Path) -> None:
         for item in selected:
             item.select_set(True)
         layer.objects.active = active
+    return describe_lacking(lacking, "The .glb")
+
+
+def check_glb_levels(levels: list[bpy.types.Object]) -> None:
+    """Raise GeometryError if the transform of a level is not finite: a .glb cannot store it."""
+    for level in levels:
+        if not np.isfinite(np.array(level.matrix_basis)).all():
+            raise GeometryError(f'The level "{level.name}" has a transform that is not finite; clear it (Object > Clear).')
 
 
 def front_color_image(level: bpy.types.Object) -> bpy.types.Image | None:

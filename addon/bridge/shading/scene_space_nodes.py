@@ -12,6 +12,7 @@ from collections.abc import Callable
 import bpy
 import numpy as np
 
+from ...core.errors import GeometryError
 from .node_builder import NodeBuilder, nodes_in
 
 POSITION, OBJECT, GENERATED = "farfield_position", "farfield_object", "farfield_generated"
@@ -36,7 +37,11 @@ def world_normal(builder: NodeBuilder) -> bpy.types.NodeSocket:
 
 
 def replace_scene_space_nodes(tree: bpy.types.NodeTree) -> None:
-    """Replace the nodes of `tree` that would read the atlas instead of the scene. Node groups inside it are not changed."""
+    """Replace the nodes of `tree` that would read the atlas instead of the scene. Node groups inside it are not changed.
+
+    Raises:
+        GeometryError: the transform of an object whose coordinates it uses is not finite.
+    """
     builder = NodeBuilder(tree)
     for node in list(tree.nodes):
         if node.bl_idname == "ShaderNodeTexCoord":
@@ -62,7 +67,10 @@ def _replace_coordinates(builder: NodeBuilder, node: bpy.types.Node) -> None:
     if node.object is None:
         _relink(builder, node.outputs["Object"], lambda: builder.attribute(OBJECT))
     else:
-        to_object = np.linalg.pinv(np.array(node.object.matrix_world, np.float64))
+        matrix = np.array(node.object.matrix_world, np.float64)
+        if not np.isfinite(matrix).all():
+            raise GeometryError(f'"{node.object.name}" has a transform that is not finite, and a material uses its coordinates; clear it.')
+        to_object = np.linalg.pinv(matrix)
         _relink(builder, node.outputs["Object"], lambda: builder.transform(builder.attribute(POSITION), to_object))
 
 

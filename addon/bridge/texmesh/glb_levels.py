@@ -3,18 +3,15 @@
 Blender's exporter writes meshes and materials; the nodes and the encoding of numbers are Farfield's.
 """
 
-import io
 import re
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
-import addon_utils
 import bpy
 import numpy as np
 
-from ...core.errors import FileError, SettingsError
+from ...core.errors import SettingsError
 from ...core.files.atomic_write import atomic_folder
 from ...core.files.file_access import convert_os_errors
 from ...core.files.glb import Y_UP, Document, is_own_glb, load_glb, save_glb
@@ -26,17 +23,15 @@ from ...core.texmesh.perception.switch_distances import level_coverages
 from ...core.texmesh.rebaking.rebake import rebake_images
 from ...core.texmesh.rebaking.texture_uses import LevelDocument
 from ...core.texmesh.settings import ExportSettings
-from ..blender import error_sentence
+from ..gltf_export import export_gltf
 from ..objects import world_matrix
 from .glb_objects import GlbObjects
 from .level_sets import LevelSet
 
 DEFAULTS = ExportSettings()
-GLTF = "io_scene_gltf2"  # Blender's add-on
 OPTIONS = {
     "export_all_vertex_colors": False,
     "export_active_vertex_color_when_no_material": False,
-    "export_animations": False,
     "export_try_sparse_sk": False,
     "export_current_frame": True,
     "export_hierarchy_full_collections": True,  # The collection need not be in a scene.
@@ -139,36 +134,18 @@ def export_collection(collection: bpy.types.Collection, has_tangents: bool = Fal
     Raises:
         FileError: it cannot write an image or the file.
     """
-    layer, errors = bpy.context.view_layer, io.StringIO()
+    layer = bpy.context.view_layer
     active = layer.objects.active
-    with temporary_folder() as folder, enabled_gltf(), redirect_stdout(io.StringIO()), redirect_stderr(errors):
+    with temporary_folder() as folder:
         path = folder / "levels.glb"
         layer.objects.active = None  # Or the exporter would leave its mode.
         try:
-            bpy.ops.export_scene.gltf(filepath=str(path), collection=collection.name, export_tangents=has_tangents, **OPTIONS)
-        except RuntimeError as error:  # raised by Blender
-            raise FileError(f"Blender's glTF exporter failed: {error_sentence(error)}.") from error
+            export_gltf(path, {**OPTIONS, "collection": collection.name, "export_tangents": has_tangents})
         finally:
             layer.objects.active = active
         with convert_os_errors(f'Cannot read "{path}"'):
             content = path.read_bytes()
-    messages = [line.partition("ERROR: ")[2] for line in errors.getvalue().splitlines() if "ERROR: " in line]
-    if messages:  # such as an image that it could not write
-        raise FileError(f"Blender's glTF exporter failed: {messages[-1]}. Free disk space and try again.")
     return load_glb(content)
-
-
-@contextmanager
-def enabled_gltf() -> Iterator[None]:
-    """Enable Blender's add-on for glTF meanwhile."""
-    was_enabled = addon_utils.check(GLTF)[1]
-    if not was_enabled:
-        addon_utils.enable(GLTF)
-    try:
-        yield
-    finally:
-        if not was_enabled:
-            addon_utils.disable(GLTF)
 
 
 def _matrix(item: bpy.types.Object) -> np.ndarray:

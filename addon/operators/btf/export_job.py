@@ -1,17 +1,19 @@
 """The job of the export operator and script: writes relightable textures as files for other programs."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import bpy
 import numpy as np
 
-from ...bridge.billboards.exports import write_glb
+from ...bridge.billboards.exports import check_glb_levels, write_glb
 from ...bridge.billboards.level_objects import read_level_texels
 from ...bridge.billboards.scene_clouds import find_cloud
+from ...bridge.blender import error_sentence
 from ...bridge.btf.export.image_folders import write_images
 from ...bridge.btf.export.octahedral_files import write_octahedral_atlas
 from ...bridge.btf.levels.decode import is_upper_hemisphere, read_relightable_texture
+from ...bridge.btf.levels.level_checks import check_quads
 from ...bridge.objects import find_by_uid
 from ...bridge.scene_paths import check_scene_outputs
 from ...core.btf.decoding import RelightableTexture
@@ -24,6 +26,7 @@ from ...core.files.filenames import unique_filenames
 from ...core.files.outputs import Output
 from ...core.geometry.directions import bonn_directions
 from ...core.jobs.progress import Progress, Steps, subprogress
+from ...core.messages import join_sentences
 
 GLB, FMF, OCTAHEDRAL_FOLDER, IMAGE_FOLDER = ".glb", ".btf", ".octahedral", ""
 RADIANCE_SUFFIXES = (FMF, IMAGE_FOLDER)  # Need the model *emission*
@@ -56,6 +59,7 @@ class BtfExportJob:
         items: Levels with radiance, to write one by one.
         source_uids: Session UIDs of the source objects.
         upper_hemisphere: Whether only directions above the horizon were baked.
+        remarks: Sentences about what the export lacks, once the job is finished.
     """
 
     core_fraction = 0.5
@@ -66,6 +70,7 @@ class BtfExportJob:
     items: list[ExportItem]
     source_uids: list[int]
     upper_hemisphere: bool
+    remarks: list[str] = field(default_factory=list)
 
     def core_steps(self) -> Steps[None]:
         """Write the formats that do not need Blender.
@@ -90,7 +95,7 @@ class BtfExportJob:
             if suffix == GLB:
                 with atomic_write(self.target) as temporary:
                     temporary.parent.mkdir(exist_ok=True)
-                    write_glb(_find_objects(self.level_uids), temporary)
+                    self.remarks += write_glb(_find_objects(self.level_uids), temporary)
             elif suffix == OCTAHEDRAL_FOLDER:
                 with atomic_write(self.target) as temporary:
                     sources = _find_objects(self.source_uids)
@@ -98,8 +103,8 @@ class BtfExportJob:
             elif suffix == IMAGE_FOLDER:
                 yield from self._write_image_folders()
         except RuntimeError as error:
-            raise FileError(f'Cannot write "{self.target}": {str(error).strip().splitlines()[-1]}') from error
-        return f'Wrote "{self.target.name}".'
+            raise FileError(f'Cannot write "{self.target}": {error_sentence(error)}.') from error
+        return join_sentences([f'Wrote "{self.target.name}".', *self.remarks])
 
     def _write_image_folders(self) -> Steps[None]:
         for index, item in enumerate(self.items):
@@ -120,9 +125,10 @@ def prepare_export(levels: list[bpy.types.Object], target: Path, settings: Expor
 
     Raises:
         FileError: see `check_target`.
-        GeometryError: if a level has no relightable textures, or the source objects of an octahedral atlas are missing.
+        GeometryError: if a level has no relightable textures; and see `check_levels`.
     """
     check_scene_outputs([Output("the export", target, check_target)])
+    check_levels(levels, target)
     suffix = target.suffix.lower()
     textures = [read_relightable_texture(level) for level in levels] if suffix in RADIANCE_SUFFIXES else []
     items = []
@@ -132,6 +138,21 @@ def prepare_export(levels: list[bpy.types.Object], target: Path, settings: Expor
     sources = _existing_sources(levels[0]) if is_octahedral else []
     level_uids, source_uids = ([item.session_uid for item in objects] for objects in (levels, sources))
     return BtfExportJob(level_uids, target, settings, items, source_uids, is_octahedral and is_upper_hemisphere(levels[0]))
+
+
+def check_levels(levels: list[bpy.types.Object], target: Path) -> None:
+    """Check that `levels`, which need not be baked yet, can be exported to `target`.
+
+    Raises:
+        GeometryError: a level of a .glb was changed, or the source objects of an octahedral atlas are missing.
+    """
+    suffix = target.suffix.lower()
+    if suffix == GLB:
+        for level in levels:
+            check_quads(level)
+        check_glb_levels(levels)
+    elif suffix == OCTAHEDRAL_FOLDER:
+        _existing_sources(levels[0])
 
 
 def _find_objects(session_uids: list[int]) -> list[bpy.types.Object]:

@@ -76,7 +76,7 @@ def capture_atlas(
 
 def frame_bounds(source: Source, frame_resolution: int) -> tuple[np.ndarray, float]:
     """Return the center (3,) of all frames of `source`, and half the side length of a frame that contains it from every direction."""
-    points = source.mesh.vertices if source.mesh is not None else source.points.points
+    points = source.mesh.corners.reshape(-1, 3) if source.mesh is not None else source.points.points
     center = 0.5 * (points.min(axis=0) + points.max(axis=0))
     radius = float(np.linalg.norm(points - center, axis=1).max())
     if source.points is not None:

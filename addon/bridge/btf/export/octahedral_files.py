@@ -6,10 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import bpy
+import numpy as np
 
 from ....core.btf.octahedral import FrameGrid, OctahedralAtlas
 from ....core.errors import FileError
 from ....core.files.atomic_write import atomic_folder
+from ....core.geometry.mesh import check_points
 from ....core.jobs.progress import Steps
 from ...geometry.meshes import read_source
 from ...imaging.images import create_image
@@ -45,7 +47,7 @@ def write_octahedral_atlas(
 
     Raises:
         FileError: if the folder cannot be written; and as `capture_atlas`.
-        GeometryError: if no object has a face.
+        GeometryError: if no object has a face, or vertices of faces are not finite.
         SettingsError: if `frames_per_side` is out of range.
     """
     grid = FrameGrid(frames_per_side, upper)
@@ -55,6 +57,7 @@ def write_octahedral_atlas(
         raise FileError(f'The folder "{folder}" cannot be created ({error.strerror}); choose another one.') from error
     with temporarily_visible(bpy.context, objects) as depsgraph:
         source = read_source(list(objects), depsgraph)
+    check_points(source.mesh.vertices[np.unique(source.mesh.triangles)], source.name)
     atlas = yield from capture_atlas(source, grid, frame_resolution, samples)
     images = create_atlas_images(source.name, atlas)
     try:

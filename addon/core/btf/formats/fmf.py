@@ -37,14 +37,10 @@ def write_fmf(
     The format has no clamping: negative values, which the shader clamps to 0, are written as they are.
 
     Raises:
-        SettingsError: the numbers of views and lights differ; readers of the format rely on equal numbers.
+        SettingsError: see `check_direction_counts`.
         FileError: a part of the file would exceed the format's size limit.
     """
-    if len(views) != len(lights):
-        raise SettingsError(
-            f"A .btf file needs equal numbers of view and light directions, not {len(views)} and {len(lights)}; set Directions to Bonn.",
-            ("directions",),
-        )
+    check_direction_counts(len(views), len(lights))
     width, height = texture.size
     row_count = len(views) * len(lights)
     lobe_components = 0 if texture.lobes is None else LOBE_COMPONENTS
@@ -69,6 +65,15 @@ def write_fmf(
         stream.write(singular_values.astype(SCALAR).tobytes())
         stream.write((bases[channel] @ vectors).astype(SCALAR).tobytes())
         stream.write((projected[channel].T @ vectors).astype(SCALAR).tobytes())
+
+
+def check_direction_counts(views: int, lights: int) -> None:
+    """Raise SettingsError if the numbers of view and light directions differ; readers of the format rely on equal numbers."""
+    if views != lights:
+        raise SettingsError(
+            f"A .btf file needs equal numbers of view and light directions, not {views} and {lights}; set Directions to Bonn.",
+            ("directions",),
+        )
 
 
 class _Matrix:
