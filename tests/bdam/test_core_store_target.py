@@ -15,6 +15,7 @@ from farfield.addon.core.bdam.building.store_target import (
 )
 from farfield.addon.core.bdam.store.structure import STRUCTURE_FILE
 from farfield.addon.core.errors import FileError
+from farfield.addon.core.files.atomic_write import recorded_outputs
 
 only_on_posix = pytest.mark.skipif(os.name == "nt", reason="links need a privilege on Windows")
 
@@ -47,6 +48,12 @@ def names_in(folder: Path) -> list[str]:
 @pytest.fixture
 def store(tmp_path) -> Path:
     return make_store(tmp_path / "store", b"old")
+
+
+def test_a_terrain_is_one_of_the_outputs_of_a_run(tmp_path):
+    with recorded_outputs() as outputs:
+        replace(tmp_path / "store", b"new")
+    assert outputs == [tmp_path / "store"]
 
 
 def test_a_terrain_is_replaced(store):
