@@ -78,6 +78,23 @@ def test_one_level_is_shown_and_the_original_again(ball):
     assert not any(level.hide_render for level in levels) and ball.hide_render
 
 
+def test_several_objects_stay_selected_and_the_active_one_stays_active(ball):
+    other = textured_ball(8, "Other")
+    ball.select_set(True)
+    bpy.context.view_layer.objects.active = ball
+    assert bpy.ops.farfield.texmesh_levels(**SMALL) == {"FINISHED"}
+    sets = {levels.source: levels.levels for levels in level_sets_in(bpy.context.scene)}
+    assert sets.keys() == {ball, other} and bpy.context.view_layer.objects.active == sets[ball][0]
+    for level in (2, 1):
+        assert bpy.ops.farfield.texmesh_show(level=level) == {"FINISHED"}
+        shown = {levels[level] for levels in sets.values()}
+        assert {*bpy.context.selected_objects} == shown and not any(item.hide_render for item in shown)
+    assert bpy.context.view_layer.objects.active == sets[ball][1]
+    assert bpy.ops.farfield.texmesh_levels(**SMALL) == {"FINISHED"}
+    again = {levels.source: levels.levels for levels in level_sets_in(bpy.context.scene)}
+    assert again.keys() == {ball, other} and bpy.context.view_layer.objects.active == again[ball][0]
+
+
 def test_levels_are_removed_with_their_data(ball):
     before = {kind: len(getattr(bpy.data, kind)) for kind in ("objects", "meshes", "materials", "collections")}
     make()

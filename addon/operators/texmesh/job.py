@@ -18,6 +18,7 @@ from ...bridge.texmesh.level_sets import (
     add_collections,
     add_level_set,
     add_materials,
+    find_level_set,
     level_sets_in,
     remove_level_set,
 )
@@ -147,11 +148,17 @@ class LevelsJob:
         materials = [[None if key is None else find_material(key) for key in source.evaluated.materials] for source in self.sources]
         if bpy.context.mode != "OBJECT":
             bpy.ops.object.mode_set(mode="OBJECT")
+        active = bpy.context.view_layer.objects.active
+        earlier = find_level_set(scene, active)
+        active_source = active if earlier is None else earlier.source
         collections = self._replace_collections(objects, scene)
         remarks = []
         for index, (chain, cloud) in enumerate(core_result):
             last = None if cloud is None else self.clouds[index].create_level(cloud, images[index], chain.levels[-1].pixel_size, scene)
             remarks += self._add(objects, index, chain, materials[index], scene, collections, last)
+        made = find_level_set(scene, active_source)
+        if made is not None:
+            _activate(made)
         counts = _count_triangles(self.sources, self.placements, [chain for chain, _ in core_result], self.settings)
         return join_sentences([*counts, *remarks, *describe_skipped(self.skipped)])
 
@@ -283,6 +290,11 @@ def _show(levels: LevelSet, scene: bpy.types.Scene, settings: SceneSettings) -> 
         levels.show(0)
     if not settings.keep_original_visible:
         levels.hide_source(True)
+    _activate(levels)
+
+
+def _activate(levels: LevelSet) -> None:
+    """Select the finest level and make it active, if it is in the view layer."""
     bpy.context.view_layer.update()
     first = levels.levels[0]
     if first.name in bpy.context.view_layer.objects:

@@ -222,12 +222,16 @@ def editable_level_sets(context: bpy.types.Context) -> list[LevelSet]:
 
 
 def activate_visible(context: bpy.types.Context, levels: LevelSet) -> None:
-    """If the active object belongs to `levels` and is hidden, make a visible one of them active: the panel depends on it."""
+    """Keep `levels` selected, with a visible one of them if the others are hidden now, and active if it was: the panel depends on it."""
     context.view_layer.update()
     candidates = [item for item in (*levels.levels, levels.source) if item is not None and item.name in context.view_layer.objects]
     active = context.view_layer.objects.active
     visible = [item for item in candidates if item.visible_get()]
-    if visible and (active is None or (active in candidates and active not in visible)):
+    if not visible:
+        return
+    if not any(item.select_get() for item in visible):
+        visible[0].select_set(True)
+    if active is None or (active in candidates and active not in visible):
         context.view_layer.objects.active = visible[0]
         visible[0].select_set(True)
 
