@@ -202,3 +202,23 @@ def test_a_missing_image_is_named():
     item.data.materials[0].node_tree.nodes["Image Texture"].image = image
     with pytest.raises(FileError, match=r'"Lost.*" is missing or empty'):
         read_ball(item)
+
+
+def test_plain_colors_count_beside_others():
+    item = textured_ball()
+    glass, paint = textured_material(None, "Glass"), textured_material(None, "Red")
+    for material, color in ((glass, (0.02, 0.1, 0.05, 1.0)), (paint, (0.7, 0.1, 0.1, 1.0))):
+        material.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = color
+        item.data.materials.append(material)
+    item.data.polygons.foreach_set("material_index", np.arange(len(item.data.polygons)) % 3)
+    textures = {len(texture): texture for texture in read_ball(item).textures[:2]}
+    assert textures.keys() == {32, 1} and textures[1].ravel() == pytest.approx([0.02, 0.1, 0.05])
+    item.data.materials[0] = paint
+    source = read_ball(item)
+    assert [len(texture) for texture in source.textures] == [1] * len(source.textures)
+    assert any("only its geometry and plain colors count" in remark for remark in source.remarks)
+    for index in range(3):
+        item.data.materials[index] = glass
+    source = read_ball(item)
+    assert not any(texture is not None for texture in source.textures)
+    assert any("only its geometry counts" in remark for remark in source.remarks)

@@ -10,7 +10,7 @@ from ...compat import uses_nodes
 from ..imaging.color_spaces import read_linear_pixels
 from ..imaging.images import check_pixels
 from ..shading.socket_sources import ScopedSocket, find_source
-from ..shading.surface_reader import find_output, list_color_inputs
+from ..shading.surface_reader import find_output, list_color_inputs, read_surface
 from ..shading.texture_uses import read_texture_use
 
 MAX_SIDE = 4096  # pixels; larger images are halved until they fit
@@ -29,6 +29,14 @@ def find_color_images(material: bpy.types.Material | None) -> list[tuple[bpy.typ
     for source in () if output is None else _image_outputs(ScopedSocket(output.inputs["Surface"])):
         found.setdefault(source.node.image, read_texture_use(source).uv_map)
     return list(found.items())
+
+
+def read_plain_color(material: bpy.types.Material | None) -> np.ndarray | None:
+    """Return the constant color of a material as an image of one pixel (1, 1, 3) float32, scene-linear, None if it has another color."""
+    if material is None:
+        return None
+    color = read_surface(material).color
+    return np.array(color.factor, np.float32).reshape(1, 1, 3) if color.is_constant else None
 
 
 def read_color_image(image: bpy.types.Image) -> tuple[np.ndarray, bool]:

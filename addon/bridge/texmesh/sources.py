@@ -1,6 +1,6 @@
 """Objects with a texture as textured meshes, with everything that their levels carry."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import bpy
@@ -15,7 +15,7 @@ from ...core.texmesh.textured_mesh import TexturedMesh, build_textured_mesh
 from ..geometry.evaluated_mesh import EvaluatedMesh
 from ..geometry.joined_meshes import find_frame, read_joined_mesh
 from ..geometry.meshes import find_material
-from .color_images import find_color_images, read_color_image
+from .color_images import find_color_images, read_color_image, read_plain_color
 from .rigs import Rig, at_rest, describe_frozen, has_rig, read_rig
 
 
@@ -137,12 +137,26 @@ def _read_textures(
                 height, width = read[image.name].shape[:2]
                 remarks.append(f'The image "{image.name}" is analyzed at {width} by {height} pixels.')
         textures.append(read[image.name])
+    textures, has_colors = _add_plain_colors(textures, mesh, [image is not None for image, _ in found])
     if not read:
-        remarks.append(f'"{owner}" has no image texture; only its geometry counts.')
+        remarks.append(f'"{owner}" has no image texture; only its geometry{" and plain colors count" if has_colors else " counts"}.')
     mixed = [images[0][0].name for images in all_found if len(images) > 1]
     if mixed:
         remarks.append(f'Materials of "{owner}" mix images; only {quote_names(dict.fromkeys(mixed))} counts, bake them to count all.')
     return uv_map, tuple(textures), remarks
+
+
+def _add_plain_colors(
+    textures: Sequence[np.ndarray | None], mesh: EvaluatedMesh, has_image: Sequence[bool]
+) -> tuple[list[np.ndarray | None], bool]:
+    """Return `textures`, with images of one pixel for the materials that have a constant color and no image, and whether there are such
+    images. An object in a single color has none."""
+    keys = [None if is_found else key for key, is_found in zip(mesh.materials, has_image, strict=True)]
+    colors = [None if key is None else read_plain_color(find_material(key)) for key in keys]
+    distinct = {texture.tobytes() for texture in (*textures, *colors) if texture is not None}
+    if len(distinct) < 2:
+        return list(textures), False
+    return [color if texture is None else texture for texture, color in zip(textures, colors, strict=True)], True
 
 
 def _read_corner_values(mesh: EvaluatedMesh) -> tuple[np.ndarray, tuple[tuple[str, int], ...]]:
