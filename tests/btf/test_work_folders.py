@@ -109,7 +109,7 @@ def test_the_script_rejects_a_work_folder_of_another_user(cloud, tmp_path, monke
     other = os.geteuid() + 1
     monkeypatch.setattr(user_folders.os, "geteuid", lambda: other)
     with pytest.raises(FileError, match="belongs to another user"):
-        btf.prepare_jobs(BtfSettings(**SMALL), tmp_path / "work")
+        btf.prepare_jobs(BtfSettings(**SMALL), tmp_path / "work", [])
     assert not list((tmp_path / "work").iterdir())
 
 
@@ -117,7 +117,7 @@ def test_the_script_rejects_a_work_folder_of_another_user(cloud, tmp_path, monke
 def test_the_name_of_a_cloud_does_not_choose_a_folder(cloud, tmp_path, name):
     cloud.collection.name = name.format(outside=tmp_path / "outside")
     work = tmp_path / "jail" / "work"
-    (job,) = btf.prepare_jobs(BtfSettings(**SMALL), work)
+    (job,) = btf.prepare_jobs(BtfSettings(**SMALL), work, [])
     assert job.folder.parent == work
     assert [path.name for path in tmp_path.iterdir()] == ["jail"] and [path.name for path in work.parent.iterdir()] == ["work"]
 
@@ -126,7 +126,7 @@ def test_a_scheduler_that_does_not_answer_leaves_nothing(cloud, tmp_path, monkey
     pytest.importorskip("distributed")
     monkeypatch.setattr(executors, "CONNECT_SECONDS", 0.1)
     with pytest.raises(FarfieldError, match="No Dask scheduler answers"):
-        btf.prepare_jobs(BtfSettings(**SMALL | {"executor": "dask:tcp://127.0.0.1:9"}), tmp_path / "new" / "work")
+        btf.prepare_jobs(BtfSettings(**SMALL | {"executor": "dask:tcp://127.0.0.1:9"}), tmp_path / "new" / "work", [])
     assert not list(tmp_path.iterdir())
 
 

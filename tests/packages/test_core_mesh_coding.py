@@ -19,7 +19,7 @@ MODELS = {"torus": torus(has_materials=True), "cube": cube(), "plane": plane(12,
 
 
 def fine_level(mesh: TexturedMesh) -> SubsetLevel:
-    return SubsetLevel(mesh.triangles, mesh.wedge_triangles, mesh.materials, 0, "", ())
+    return SubsetLevel(mesh.triangles, mesh.wedge_triangles, mesh.materials, 0, "", (), None)
 
 
 def sort_triangles(corners: np.ndarray, materials: np.ndarray) -> np.ndarray:
@@ -121,7 +121,7 @@ def test_a_level_may_add_nothing():
 def test_levels_without_triangles_are_refused():
     mesh = plane(3, 3)
     nothing = np.zeros(0, np.int32)
-    empty = SubsetLevel(np.zeros((0, 3), np.int32), np.zeros((0, 3), np.int32), nothing, 0, "", ())
+    empty = SubsetLevel(np.zeros((0, 3), np.int32), np.zeros((0, 3), np.int32), nothing, 0, "", (), None)
     with pytest.raises(GeometryError, match="no triangles"):
         order_mesh(mesh, [empty], Simplification((empty,), nothing, nothing, np.zeros(0)))
 
