@@ -162,14 +162,14 @@ def _optimize(
 ) -> Steps[tuple[list[Candidate], list[LevelImages]]]:
     """Return the `chosen` candidates with positions and texture coordinates that deviate least from the original, and their images. Where
     an optimized level is farther from the original, or looks less like it, than the candidate or the level that the optimization began
-    with, that one is taken. For small meshes, another optimization begins with levels in which all triangles counted alike."""
+    with, that one is taken. For small meshes, another optimization begins with levels whose vertices all stayed where they were."""
     del compared.images[1:]  # The optimization needs their memory.
     original, *others = (compared.items[index] for index in chosen)
     surface, add_to = candidates.attributes.surface, candidates.attributes.add_to
     comparison, tries = LevelComparison(surface), [[item.start for item in others]]
     if len(surface.mesh.triangles) <= MAX_RENDERED:
         targets = [item.start.target for item in others]
-        tries.append((yield from make_starts(surface.mesh, targets, settings, area_power=0.0))[1])
+        tries.append((yield from make_starts(surface.mesh, targets, settings, moves_vertices=False))[1])
     refits = []
     for starts in tries:
         refits.append((yield from refit_starts(surface, starts)))

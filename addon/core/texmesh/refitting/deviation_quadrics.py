@@ -23,9 +23,6 @@ from ..textured_mesh import TexturedMesh
 from .border_curves import find_border_halfedges
 from .correspondence import compute_uv_scale
 
-AREA_POWER = 0.5
-"""Small triangles count more than by area: they are where the shape has detail, and where limbs end, which would get shorter otherwise,
-since the planes along a limb do not resist."""
 CURVE_WEIGHT = 1.0  # Weight of squared distances from an edge of a border in UV space, times its squared length.
 DEVIATION_WEIGHT = 0.5  # Weight of squared deviations of edges on borders in space, times their squared length.
 MIN_UV_LENGTH = 1e-9  # Of an edge in UV space, relative to the one in space; shorter ones give no direction.
@@ -34,16 +31,15 @@ LENGTH_WEIGHT = 1e-6  # Weight of the squared length of a collapse, which decide
 
 class DeviationQuadrics(WedgeQuadrics):
     """A `CollapseCost`: squared texture deviations, integrated over the triangles that wedges stand for. Deviations along the normal count
-    `normal_weight` times. Kept vertices move to where they cost least."""
+    `normal_weight` times. With `moves_vertices`, kept vertices move to where they cost least."""
 
-    def __init__(self, mesh: TexturedMesh, normal_weight: float, area_power: float = AREA_POWER) -> None:
-        """area_power: triangles count in proportion to this power of their areas."""
+    def __init__(self, mesh: TexturedMesh, normal_weight: float, moves_vertices: bool = True) -> None:
         uv_scale = compute_uv_scale(mesh)
         points = np.column_stack([mesh.vertices[mesh.wedge_vertices], uv_scale * mesh.uvs])
         center = points.mean(axis=0)
         areas, normals = face_areas_and_normals(mesh.vertices[mesh.triangles])
-        weights = _weigh_triangles(areas, area_power)
-        super().__init__(mesh, points - center, normal_weight * weights, moves_vertices=True)
+        weights = _weigh_triangles(areas)
+        super().__init__(mesh, points - center, normal_weight * weights, moves_vertices)
         self._areas = np.bincount(mesh.wedge_triangles.ravel(), np.repeat(weights, 3) / 3.0, len(points))
         rows = _deviation_rows(self._points[mesh.wedge_triangles], normals, normal_weight)
         terms = np.einsum("tik,til->tkl", rows, rows)[:, ROWS, COLUMNS] * (weights / 3.0)[:, None]
@@ -90,10 +86,14 @@ class DeviationQuadrics(WedgeQuadrics):
         np.add.at(self._quadrics, end, terms)
 
 
-def _weigh_triangles(areas: np.ndarray, power: float) -> np.ndarray:
-    """Return weights (T,) of triangles with `areas` (T,) in proportion to a power of these, with the same sum."""
-    powers = np.where(areas > 0.0, areas, 1.0) ** power * (areas > 0.0)
-    return powers * (areas.sum() / max(powers.sum(), TINY))
+def _weigh_triangles(areas: np.ndarray) -> np.ndarray:
+    """Return weights (T,) of triangles with `areas` (T,) in proportion to their square roots, with the same sum.
+
+    Small triangles count more than by area: they are where the shape has detail, and where limbs end, which would get shorter otherwise,
+    since the planes along a limb do not resist.
+    """
+    roots = np.sqrt(areas)
+    return roots * (areas.sum() / max(roots.sum(), TINY))
 
 
 def _deviation_rows(corners: np.ndarray, normals: np.ndarray, normal_weight: float) -> np.ndarray:

@@ -16,7 +16,7 @@ from ..simplification.levels import Simplification, SubsetLevel, extract_level, 
 from ..textured_mesh import TexturedMesh
 from .border_curves import BorderCurves, Freedom, find_border_curves, find_freedom, move_uvs
 from .correspondence import sample_surface
-from .deviation_quadrics import AREA_POWER, DeviationQuadrics
+from .deviation_quadrics import DeviationQuadrics
 from .edge_flips import flip_edges
 from .edge_splits import split_edges, split_far_edges
 from .least_squares import Linearization, compute_moments
@@ -74,15 +74,15 @@ class RefitStart:
 
 
 def make_starts(
-    fine: TexturedMesh, targets: list[int], settings: TexmeshSettings, area_power: float = AREA_POWER
+    fine: TexturedMesh, targets: list[int], settings: TexmeshSettings, moves_vertices: bool = True
 ) -> Steps[tuple[Simplification, list[RefitStart]]]:
     """Return the simplification that makes them, and where the refits of levels with `targets` triangles start.
 
-    area_power: see `DeviationQuadrics`.
+    moves_vertices: see `DeviationQuadrics`.
     """
     reduced = [max(round((1.0 - TUNING.split_fraction) * target), 1) for target in targets]
     counts = sorted({*targets, *reduced}, reverse=True)
-    result = yield from simplify_by_cost(fine, lambda mesh, _: DeviationQuadrics(mesh, TUNING.normal_weight, area_power), counts, settings)
+    result = yield from simplify_by_cost(fine, lambda mesh, _: DeviationQuadrics(mesh, TUNING.normal_weight, moves_vertices), counts, settings)
     levels = dict(zip(counts, result.levels, strict=True))
     return result, [RefitStart(target, levels[count], levels[target]) for target, count in zip(targets, reduced, strict=True)]
 
