@@ -82,7 +82,11 @@ def make_starts(
     """
     reduced = [max(round((1.0 - TUNING.split_fraction) * target), 1) for target in targets]
     counts = sorted({*targets, *reduced}, reverse=True)
-    result = yield from simplify_by_cost(fine, lambda mesh, _: DeviationQuadrics(mesh, TUNING.normal_weight, moves_vertices), counts, settings)
+
+    def make_cost(mesh: TexturedMesh, _vertices: np.ndarray) -> DeviationQuadrics:
+        return DeviationQuadrics(mesh, TUNING.normal_weight, moves_vertices)
+
+    result = yield from simplify_by_cost(fine, make_cost, counts, settings)
     levels = dict(zip(counts, result.levels, strict=True))
     return result, [RefitStart(target, levels[count], levels[target]) for target, count in zip(targets, reduced, strict=True)]
 
