@@ -82,11 +82,14 @@ class FARFIELD_PT_texmesh_levels(SidebarPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw one row per level and the buttons."""
         levels = find_level_set(context.scene, context.active_object)
+        self.layout.label(text=levels.collection.name, icon="OUTLINER_COLLECTION")
         draw_levels(self.layout, levels)
         row = self.layout.row(align=True)
         for number in range(len(levels.levels)):
             row.operator(FARFIELD_OT_texmesh_show.bl_idname, text=f"L{number}").level = number
         buttons = self.layout.column(align=True)
+        is_followed = preview.current.follows_view
+        buttons.operator(preview.FARFIELD_OT_texmesh_preview.bl_idname, text="Preview", icon="VIEW_PERSPECTIVE", depress=is_followed)
         buttons.operator(FARFIELD_OT_texmesh_show.bl_idname, text="Show Original", icon="MESH_DATA").level = -1
         buttons.operator(FARFIELD_OT_texmesh_crossfade.bl_idname, text="Cross-Fade", icon="MOD_OPACITY", depress=levels.has_crossfade)
         for_camera = buttons.row(align=True)
@@ -123,8 +126,7 @@ class FARFIELD_PT_texmesh_inspect(SettingsPanel, bpy.types.Panel):
         buttons = self.layout.column(align=True)
         buttons.operator(FARFIELD_OT_texmesh_overlay.bl_idname, text="Features by Scale", icon="OVERLAY", depress=overlay.is_shown)
         buttons.operator(FARFIELD_OT_texmesh_plot.bl_idname, text="Plot", icon="IMAGE_DATA")
-        follows_view, flickers = preview.current.follows_view, preview.current.flickers
-        buttons.operator(preview.FARFIELD_OT_texmesh_preview.bl_idname, text="Preview", icon="VIEW_PERSPECTIVE", depress=follows_view)
+        flickers = preview.current.flickers
         buttons.operator(preview.FARFIELD_OT_texmesh_flicker.bl_idname, text="Flicker", icon="UV_SYNC_SELECT", depress=flickers)
         number = preview.selected_number(context)
         if number is not None:
