@@ -6,8 +6,8 @@ from numbers import Real
 import bpy
 import numpy as np
 
+from ....core.billboards.atlas import MAX_SIDE
 from ....core.billboards.texels import QuadPolygons
-from ....core.btf.settings import MAX_IMAGE_SIDE
 from ....core.errors import GeometryError
 from ...billboards import clouds
 from ...billboards.cloud_materials import FRONT_COLOR, FRONT_NORMAL, FRONT_ROUGHNESS_METALLIC_DEPTH
@@ -96,7 +96,7 @@ def _numbers_problem(level_object: bpy.types.Object) -> str:
     if not isinstance(error, Real) or not math.isfinite(error) or error <= 0.0:
         return "its error is not a positive number"
     if find_atlas_size(level_object) is None:
-        return f"the size of its atlas is not two numbers up to {MAX_IMAGE_SIDE}"
+        return f"the size of its atlas is not two numbers up to {MAX_SIDE}"
     return ""
 
 

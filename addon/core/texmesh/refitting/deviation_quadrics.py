@@ -68,7 +68,7 @@ class DeviationQuadrics(WedgeQuadrics):
         self._borders.append(len(copies.wedges), self._points)
 
     def _add_borders(self, mesh: TexturedMesh, normals: np.ndarray) -> None:
-        """Add the squared distances from the edges of islands in UV space, which cover what is between the edge and a vertex next to it;
+        """Add the squared distances from the edges of islands in UV space, which cover all between the edge and a vertex next to it;
         where edges have no length there, those from the planes through them that are perpendicular to the triangles. normals: (T, 3)."""
         halfedges, _ = find_border_halfedges(mesh)
         faces, corners = halfedges // 3, halfedges % 3

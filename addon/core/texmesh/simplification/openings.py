@@ -3,7 +3,7 @@
 A tunnel is a closed curve along which a surface can be cut without falling apart, such as those around holes through a part. Half-edge
 collapses keep the genus. They shorten a tunnel to a loop of three edges that are no triangle, and stop there, because each further collapse
 would make an edge that exists. A cut along the loop, and a triangle on each side of it, close the tunnel. A loop around a thin neck divides
-the surface, and is no tunnel: what is on one side of it can collapse to one vertex.
+the surface, and is no tunnel: one side of it can collapse to one vertex.
 
 An opening is three halfedges at it, in the order in which their starts are the corners of a triangle that closes it: each ends where the
 one before begins.
