@@ -6,6 +6,7 @@ one is one undo step.
 """
 
 import time
+from collections.abc import Callable
 from typing import Any, Protocol
 
 from ..core.errors import Cancelled
@@ -36,10 +37,13 @@ def run_job(job: Job) -> Steps[str]:
 
 
 class Run:
-    """A job running in the background of the interface."""
+    """A job running in the background of the interface.
 
-    def __init__(self, job: Job, title: str) -> None:
-        self.title = title
+    follow_up: is called after the undo step of a run that has finished.
+    """
+
+    def __init__(self, job: Job, title: str, follow_up: Callable[[], None] = lambda: None) -> None:
+        self.title, self.follow_up = title, follow_up
         self.progress = Progress(0.0, "Starting")
         self.message: str | None = None
         self._job = job

@@ -4,6 +4,7 @@ A timer watches the first half of a job, which runs in a thread, so that Blender
 operator runs. The second half uses the scene. It belongs to a modal operator that keeps the user from changing the scene meanwhile.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import bpy
@@ -50,6 +51,11 @@ class LongWork:
         """Read everything that the job needs from Blender, or raise FarfieldError."""
         raise NotImplementedError
 
+    def prepare_follow_up(self, _context: bpy.types.Context) -> Callable[[], None]:
+        """Return what is called after the undo step of a run in the interface, not in scripts: what it changes is not undone with the run.
+        By default, nothing."""
+        return lambda: None
+
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Run the job to the end, blocking."""
@@ -71,7 +77,7 @@ class LongWork:
             return self.execute(context)
         if not self._check_no_job_runs():
             return {"CANCELLED"}
-        start_in_background(self.prepare(context), self.bl_label)
+        start_in_background(self.prepare(context), self.bl_label, self.prepare_follow_up(context))
         return {"INTERFACE"}  # handled, but nothing to undo or repeat yet
 
     def _check_no_job_runs(self) -> bool:
@@ -113,6 +119,7 @@ class FARFIELD_OT_finish_job(bpy.types.Operator):
                 self.cancel(context)
                 bpy.ops.ed.undo_push(message=run.title)
                 report_message(self, run.message)
+                run.follow_up()
                 return {"FINISHED"}
         _show_status()
         return {"RUNNING_MODAL"}
@@ -143,10 +150,10 @@ class FARFIELD_OT_cancel_job(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def start_in_background(job: Job, title: str) -> None:
-    """Start `job` while the interface stays usable; no other job may run. It becomes one undo step with this title."""
+def start_in_background(job: Job, title: str, follow_up: Callable[[], None] = lambda: None) -> None:
+    """Start `job` while the interface stays usable; no other job may run. It becomes one undo step with this title. follow_up: see `Run`."""
     global _current
-    _current = Run(job, title)
+    _current = Run(job, title, follow_up)
     bpy.app.timers.register(_watch_core, first_interval=TICK)
     bpy.app.handlers.load_pre.append(_cancel_before_loading)
     _show_status()

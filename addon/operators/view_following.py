@@ -173,6 +173,12 @@ def context_viewport(context: bpy.types.Context) -> bpy.types.Area | None:
     return next((area for area in context.screen.areas if area.type == "VIEW_3D"), None)
 
 
+def viewport_address(context: bpy.types.Context) -> int:
+    """Return the address of `context_viewport`, for `find_viewport`; 0 without a window."""
+    area = context_viewport(context)
+    return 0 if area is None else area.as_pointer()
+
+
 def find_viewport(area_address: int) -> tuple[bpy.types.Scene, bpy.types.Area | None]:
     """Return the 3D Viewport at this address and the scene that it shows, or the first one if it was closed."""
     viewports = [

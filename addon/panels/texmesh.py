@@ -88,7 +88,7 @@ class FARFIELD_PT_texmesh_levels(SidebarPanel, bpy.types.Panel):
         for number in range(len(levels.levels)):
             row.operator(FARFIELD_OT_texmesh_show.bl_idname, text=f"L{number}").level = number
         buttons = self.layout.column(align=True)
-        is_followed = preview.current.follows_view
+        is_followed = preview.current.follows(levels)
         buttons.operator(preview.FARFIELD_OT_texmesh_preview.bl_idname, text="Preview", icon="VIEW_PERSPECTIVE", depress=is_followed)
         buttons.operator(FARFIELD_OT_texmesh_show.bl_idname, text="Show Original", icon="MESH_DATA").level = -1
         buttons.operator(FARFIELD_OT_texmesh_crossfade.bl_idname, text="Cross-Fade", icon="MOD_OPACITY", depress=levels.has_crossfade)

@@ -142,6 +142,71 @@ def test_what_a_user_shows_meanwhile_stays(levels):
     assert visible() == ["Ball L1"] and not any(CROSSFADE in item for item in levels.levels)
 
 
+def test_a_level_that_a_user_chooses_shows_until_the_levels_cross_fade_again(levels):
+    preview.current.follow_view(None)
+    assert show(1000.0) == ["Ball L2"] and preview.current.follows(levels)
+    assert bpy.ops.farfield.texmesh_show(level=1) == {"FINISHED"}
+    assert show(1000.0) == show(0.0) == ["Ball L1"] and not preview.current.follows(levels)
+    assert bpy.context.active_object == levels.levels[1] and not any(STATE in item for item in bpy.data.objects)
+    assert bpy.ops.farfield.texmesh_show(level=-1) == {"FINISHED"}
+    assert show(1000.0) == ["Ball"]
+    assert bpy.ops.farfield.texmesh_crossfade() == {"FINISHED"}
+    assert show(1000.0) == ["Ball L2"] and preview.current.follows(levels)
+
+
+def test_preview_pressed_while_one_level_was_chosen_shows_levels_by_distance(levels):
+    preview.start_for_crossfades(0)
+    bpy.context.view_layer.objects.active = levels.levels[0]
+    assert bpy.ops.farfield.texmesh_show(level=1) == {"FINISHED"}
+    assert bpy.ops.farfield.texmesh_preview() == {"FINISHED"}
+    assert show(1000.0) == ["Ball L2"] and show(0.0) == ["Ball L0"]
+    preview.start_for_crossfades(0)
+    assert show(1000.0) == ["Ball L2"]
+    assert bpy.ops.farfield.texmesh_preview() == {"FINISHED"}
+    assert visible() == ["Ball L1"] and not preview.current.is_running
+
+
+def test_an_original_that_stays_visible_beside_its_levels_does_so_in_the_preview(levels):
+    levels.hide_source(False)
+    preview.start_for_crossfades(0)
+    assert show(1000.0) == ["Ball", "Ball L2"]
+
+
+def test_objects_that_a_user_selects_meanwhile_stay_selected(levels):
+    bpy.ops.object.select_all(action="DESELECT")
+    cube = textured_ball(8, "Cube")
+    bpy.ops.object.select_all(action="DESELECT")
+    bpy.context.view_layer.objects.active = levels.levels[0]
+    levels.levels[0].select_set(True)
+    preview.current.follow_view(None)
+    show(1000.0)
+    assert bpy.context.selected_objects == [levels.levels[2]]
+    levels.levels[2].select_set(False)
+    bpy.context.view_layer.objects.active = cube
+    cube.select_set(True)
+    preview.current.stop()
+    assert bpy.context.selected_objects == [cube] and bpy.context.active_object == cube
+
+
+def test_undo_shows_the_level_for_the_distance_again(levels):
+    bpy.context.preferences.edit.use_global_undo = True
+    bpy.ops.ed.undo_push(message="before")
+    preview.start_for_crossfades(0)
+    show(0.0)
+    bpy.ops.ed.undo_push(message="near")
+    bpy.ops.ed.undo_push(message="later")
+    assert show(1000.0) == ["Ball L2"]
+    bpy.ops.ed.undo()
+    assert show(1000.0) == ["Ball L2"]
+    (found,) = level_sets_in(bpy.context.scene)
+    bpy.context.view_layer.objects.active = found.levels[2]
+    assert bpy.ops.farfield.texmesh_remove() == {"FINISHED"}
+    bpy.ops.ed.undo_push(message="removed")
+    assert show(1000.0) == ["Ball"]
+    bpy.ops.ed.undo()
+    assert show(1000.0) == ["Ball L2"]
+
+
 def test_the_original_is_shown_when_levels_are_removed_meanwhile(levels):
     preview.current.follow_view(None)
     show(1000.0)

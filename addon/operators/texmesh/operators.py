@@ -1,5 +1,8 @@
 """Operators of the tool `texmesh`: analyze meshes, make levels, show one of them, cross-fade, and show the original again."""
 
+from collections.abc import Callable
+from functools import partial
+
 import bpy
 
 from ...bridge import cameras
@@ -9,6 +12,8 @@ from ...core.settings import describe
 from ...core.texmesh.settings import PRESETS, AnalysisSettings, ResearchSettings, SceneSettings, TexmeshSettings
 from .. import long_work, properties, start_job
 from ..error_reports import report_message, reports_errors
+from ..view_following import viewport_address
+from . import preview
 from .job import AnalysisJob, LevelsJob, prepare_analysis, prepare_levels
 from .sources import refusal, source_objects
 
@@ -63,6 +68,12 @@ class FARFIELD_OT_texmesh_levels(start_job.StartJob, bpy.types.Operator):
         """Read the selected objects."""
         settings = self.read_settings(context)
         return prepare_levels(context, source_objects(context), settings[TexmeshSettings], settings[SceneSettings])
+
+    def prepare_follow_up(self, context: bpy.types.Context) -> Callable[[], None]:
+        """Return what lets one level show in all views if they cross-fade."""
+        if not self.read_settings(context)[SceneSettings].cross_fade:
+            return super().prepare_follow_up(context)
+        return partial(preview.start_for_crossfades, viewport_address(context))
 
 
 class FARFIELD_OT_texmesh_preset(bpy.types.Operator):
@@ -129,6 +140,7 @@ class FARFIELD_OT_texmesh_show(LevelsOperator, bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Show the level, or the coarsest one if there are fewer."""
         editable = editable_level_sets(context)
+        preview.current.follows_all = False
         for levels in editable:
             is_original = self.level < 0
             if is_original:
@@ -149,6 +161,14 @@ class FARFIELD_OT_texmesh_crossfade(LevelsOperator, bpy.types.Operator):
 
     bl_idname = "farfield.texmesh_crossfade"
     bl_label = "Cross-Fade Perceptual Levels"
+
+    @reports_errors
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Add a cross-fade, and let one level show in all views."""
+        result = self.execute(context)
+        if context.window is not None:
+            preview.start_for_crossfades(viewport_address(context))
+        return result
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -177,6 +197,7 @@ class FARFIELD_OT_texmesh_show_for_camera(LevelsOperator, bpy.types.Operator):
             report_message(self, "The scene has no active camera; add one.", "ERROR")
             return {"CANCELLED"}
         numbers = []
+        preview.current.follows_all = False
         for levels in editable_level_sets(context):
             numbers.append(levels.choose_level(camera))
             levels.show(numbers[-1])

@@ -1,7 +1,8 @@
 """Operators that show levels for a while: the one that the viewport's distance calls for, and a flicker between neighboring levels."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import bpy
@@ -25,16 +26,16 @@ NO_LEVELS = "Make levels first"
 class LevelPreview:
     """Which levels all 3D Viewports show for a while. Operators, panels, handlers and the timer share one instance.
 
-    follows_view: whether they are those that the distance of a 3D Viewport calls for. flickers: whether every other moment the next finer
-    level shows. shown: the number of the level that shows, by the name of its collection.
+    follows_view: whether they are those that the distance of a 3D Viewport calls for. follows_all: whether also levels that do not
+    cross-fade, because one of them or the original is shown at any distance. flickers: whether every other moment the next finer level
+    shows. shown: the number of the level that shows, by the name of its collection.
     """
 
     def __init__(self) -> None:
-        self.follows_view = self.flickers = False
+        self.follows_view = self.follows_all = self.flickers = False
         self.shown: dict[str, int] = {}
         self._fixed: dict[str, int] = {}
-        self._selection: dict[int, bool] = {}  # by session UID of objects that were selected: whether one was active
-        self._selected: set[int] = set()  # session UIDs of levels that have been selected instead
+        self._selections: dict[str, _Selection] = {}  # by the name of the collection
         self._area_address = 0
         self._flicker_seconds, self._started = 0.5, 0.0
         self._timer = self._tick  # Blender identifies timers by the object
@@ -44,9 +45,14 @@ class LevelPreview:
         """Whether levels are shown for a while."""
         return self.follows_view or self.flickers
 
-    def follow_view(self, area: bpy.types.Area | None) -> None:
+    def follows(self, levels: LevelSet) -> bool:
+        """Whether the one of `levels` shows that the distance of a 3D Viewport calls for."""
+        return self.follows_view and (self.follows_all or levels.has_crossfade)
+
+    def follow_view(self, area: bpy.types.Area | None, follows_all: bool = True) -> None:
         """Show the levels that the distance of the 3D Viewport `area` calls for, and the switch rings."""
         self._area_address = 0 if area is None else area.as_pointer()
+        self.follows_all = follows_all or (self.follows_view and self.follows_all)
         self.follows_view = True
         rings.show()
         self._start()
@@ -73,43 +79,46 @@ class LevelPreview:
 
     def suspend(self) -> None:
         """Show what was shown before, until the next tick."""
+        self.show_again()
+        selections, self._selections = self._selections, {}
+        _reselect(selections.values())
+
+    def show_again(self) -> None:
+        """Let the next tick show the levels anew, from what was shown before."""
         self.shown.clear()
         restore(bpy.data.objects)
-        self._restore_selection()
 
     def update(self, camera: Camera, scene: bpy.types.Scene, now: float) -> None:
         """Show the levels of `scene` for a view at a time in seconds."""
         is_finer = self.flickers and int((now - self._started) / self._flicker_seconds) % 2 == 1
         shown = {}
         for levels in level_sets_in(scene):
+            name, follows = levels.collection.name, self.follows(levels)
             if not levels.is_editable:
                 continue
-            name = levels.collection.name
-            fixed = None if self.follows_view else self._fixed.get(name)
+            if not follows and not self.flickers:
+                self._leave(levels)
+                continue
+            fixed = None if follows else self._fixed.get(name)
             number = levels.choose_level(camera) if fixed is None else min(fixed, len(levels.levels) - 1)
             shown[name] = max(number - is_finer, 0)
-            if shown[name] == self.shown.get(name) and STATE in levels.levels[shown[name]]:
+            level = levels.levels[shown[name]]
+            if shown[name] == self.shown.get(name) and STATE in level:
                 continue
             selected = _find_selected([*levels.levels, levels.source])
-            if not self._selection:
-                self._selection = selected
-            show_temporarily(levels.levels, shown[name], levels.source)
+            show_temporarily(levels.levels, shown[name], levels.source if self.follows_all or not follows else None)
             if selected:  # what is hidden is neither selected nor active any more
-                _select(levels.levels[shown[name]], any(selected.values()))
-                self._selected.add(levels.levels[shown[name]].session_uid)
+                _select(level, any(selected.values()))
+                self._selections.setdefault(name, _Selection(selected)).instead.add(level.session_uid)
         if shown != self.shown:
             self.shown = shown
             redraw_areas("VIEW_3D")
 
-    def _restore_selection(self) -> None:
-        present = bpy.context.view_layer.objects
-        objects = {item.session_uid: item for item in bpy.data.objects if item.name in present} if self._selection else {}
-        for uid in objects.keys() & self._selected - self._selection.keys():
-            objects[uid].select_set(False)
-        for uid, is_active in self._selection.items():
-            if uid in objects:
-                _select(objects[uid], is_active)
-        self._selection, self._selected = {}, set()
+    def _leave(self, levels: LevelSet) -> None:
+        """Show what was shown before of `levels` that do not follow the view any more."""
+        selection = self._selections.pop(levels.collection.name, None)
+        if restore([*levels.levels, levels.source]) and selection is not None:
+            _reselect([selection])
 
     def _start(self) -> None:
         if not bpy.app.timers.is_registered(self._timer):
@@ -139,6 +148,22 @@ class LevelPreview:
         return True
 
 
+@dataclass
+class _Selection:
+    """What is selected of the levels of an object and the object itself.
+
+    before: session UIDs of those that were selected, and whether they were active. instead: of the levels that have been selected instead.
+    """
+
+    before: dict[int, bool]
+    instead: set[int] = field(default_factory=set)
+
+
+def start_for_crossfades(area_address: int) -> None:
+    """Let levels that cross-fade follow the 3D Viewport at this address: its Solid view, without materials, would show all at once."""
+    current.follow_view(find_viewport(area_address)[1], follows_all=False)
+
+
 current = LevelPreview()
 
 
@@ -157,7 +182,7 @@ class FARFIELD_OT_texmesh_preview(bpy.types.Operator):
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Start or end the preview. Nothing of it is an undo step."""
-        if current.follows_view:
+        if is_followed(context):
             current.stop(flickers=True)
         else:
             current.follow_view(context_viewport(context))
@@ -210,6 +235,12 @@ class FARFIELD_OT_texmesh_flicker(bpy.types.Operator):
         current.stop(follows_view=True)
 
 
+def is_followed(context: bpy.types.Context) -> bool:
+    """Return whether the levels of the active object follow a 3D Viewport, or any if it has none."""
+    levels = find_level_set(context.scene, context.active_object)
+    return current.follows_view if levels is None else current.follows(levels)
+
+
 def selected_number(context: bpy.types.Context) -> int | None:
     """Return the number of the level of the active object that the preview shows, None if it does not."""
     levels = find_level_set(context.scene, context.active_object) if current.is_running else None
@@ -227,6 +258,19 @@ def _find_selected(items: Sequence[bpy.types.Object | None]) -> dict[int, bool]:
     objects = bpy.context.view_layer.objects
     present = [item for item in items if item is not None and item.name in objects]
     return {item.session_uid: item == objects.active for item in present if item == objects.active or item.select_get()}
+
+
+def _reselect(selections: Collection[_Selection]) -> None:
+    """Select what was selected before, as far as what has been selected instead still is: the user may have selected others meanwhile."""
+    present = bpy.context.view_layer.objects
+    objects = {item.session_uid: item for item in bpy.data.objects if item.name in present} if selections else {}
+    for selection in selections:
+        now = _find_selected([objects[uid] for uid in objects.keys() & selection.instead])
+        before = [uid for uid in selection.before if uid in objects]
+        for uid in now.keys() - selection.before.keys():
+            objects[uid].select_set(False)
+        for uid in sorted(before, key=selection.before.__getitem__) if now else ():  # the active one last
+            _select(objects[uid], any(now.values()))
 
 
 def _select(item: bpy.types.Object, is_active: bool) -> None:
@@ -257,9 +301,8 @@ def _before_render(*_: Any) -> None:
 
 @bpy.app.handlers.persistent
 def _after_change(*_: Any) -> None:
-    """An undo step or a file may hold a state that was shown for a while."""
-    if not current.is_running:
-        restore(bpy.data.objects)
+    """An undo step or a file may hold a state that was shown for a while, at another distance."""
+    current.show_again()
 
 
 HANDLERS: tuple[tuple[str, Any], ...] = (
