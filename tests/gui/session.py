@@ -75,10 +75,10 @@ class UserInput:
         """Move the mouse."""
         self.window.event_simulate(type="MOUSEMOVE", value="NOTHING", x=x, y=y)
 
-    def press(self, key: str, x: int, y: int, ctrl: bool = False) -> None:
+    def press(self, key: str, x: int, y: int, ctrl: bool = False, shift: bool = False) -> None:
         """Press and release a key or mouse button."""
         for value in ("PRESS", "RELEASE"):
-            self.window.event_simulate(type=key, value=value, x=x, y=y, ctrl=ctrl)
+            self.window.event_simulate(type=key, value=value, x=x, y=y, ctrl=ctrl, shift=shift)
 
     def is_on_button(self, operator: str) -> bool:
         """Whether the mouse is on the button of `operator`: Blender can then copy the button's Python command."""
@@ -106,13 +106,13 @@ class UserInput:
                     return x, y - 1
         raise AssertionError(f"the sidebar has no button for {operator}")
 
-    def press_undo(self) -> Iterator[float]:
-        """Press Ctrl Z in the 3D Viewport."""
+    def press_undo(self, redo: bool = False) -> Iterator[float]:
+        """Press Ctrl Z in the 3D Viewport, or Shift Ctrl Z to redo."""
         viewport = self.region("WINDOW")
         center = viewport.x + viewport.width // 2, viewport.y + viewport.height // 2
         self.move(*center)
         yield 0.5
-        self.press("Z", *center, ctrl=True)
+        self.press("Z", *center, ctrl=True, shift=redo)
         yield 1.5
 
     def press_and_start(self, operator: str) -> Iterator[float | tuple[int, int]]:

@@ -64,6 +64,26 @@ def scroll_sidebar(user: UserInput) -> Iterator[float]:
         yield 0.05
 
 
+def show_in_all_views(user: UserInput) -> Iterator[float]:
+    """Record what is visible right after the run in each kind of shading."""
+    results["after_run"] = {}
+    shading = user.area.spaces.active.shading
+    for kind in ("RENDERED", "MATERIAL", "SOLID"):
+        shading.type = kind
+        yield 2.0
+        results["after_run"][kind] = visible_objects()
+        save_screenshot(f"2-levels-{kind.lower()}")
+
+
+def undo_and_redo(user: UserInput) -> Iterator[float]:
+    """Undo the run, and redo it; record what is visible."""
+    yield from user.press_undo()
+    results["undone"] = visible_objects()
+    save_screenshot("2-levels-undone")
+    yield from user.press_undo(redo=True)
+    results["redone"] = visible_objects()
+
+
 def session() -> Iterator[float]:
     """Run the session; yields pauses in seconds."""
     user = UserInput()
@@ -90,11 +110,13 @@ def session() -> Iterator[float]:
     results["fractions"] = yield from wait_for_job()
     yield 1.5
     results["levels"] = sorted(item.name for item in bpy.data.objects if "farfield_error" in item)
-    results["crossfading"] = visible_objects()
-    save_screenshot("2-levels")
-
+    results["crossfading"] = sorted(item.name for item in bpy.data.objects if "farfield_camera_position" in item)
     preview = module("addon.operators.texmesh.preview").current
-    preview_button = yield from press_button(user, "farfield.texmesh_preview")
+    yield from show_in_all_views(user)
+    yield from undo_and_redo(user)
+    yield from press_button(user, "farfield.texmesh_show")
+    results["chosen"] = visible_objects()
+    yield from press_button(user, "farfield.texmesh_crossfade")
     results["preview"] = []
     for distance in (4.0, 25.0, 120.0):
         view.view_distance = distance
@@ -110,10 +132,7 @@ def session() -> Iterator[float]:
     user.press("ESC", *viewport_center(user))
     yield 1.0
     results["flickers_after_esc"], results["follows_after_esc"] = preview.flickers, preview.follows_view
-    user.move(*preview_button)
-    yield 0.5
-    user.press("LEFTMOUSE", *preview_button)
-    yield 1.0
+    yield from press_button(user, "farfield.texmesh_preview")
     results["after_preview"], results["rings_hidden"] = visible_objects(), not preview.is_running
 
     view.view_distance = 8.0

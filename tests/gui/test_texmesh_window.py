@@ -27,6 +27,22 @@ def test_levels_are_made_and_cross_fade(results):
     assert results["fractions"] == sorted(results["fractions"])
 
 
+def test_one_level_shows_in_all_views_after_the_run(results):
+    assert list(results["after_run"]) == ["RENDERED", "MATERIAL", "SOLID"]
+    shown = {tuple(names) for names in results["after_run"].values()}
+    assert len(shown) == 1 and {*shown.pop()} < {*LEVELS}
+
+
+def test_undo_shows_the_original_and_redo_one_level_again(results):
+    assert results["undone"] == ["Ball"]
+    assert results["redone"] == results["after_run"]["SOLID"]
+
+
+def test_a_chosen_level_shows_although_the_preview_has_started(results):
+    assert len(results["chosen"]) == 1 and {*results["chosen"]} < {*LEVELS}
+    assert results["chosen"] != results["after_run"]["SOLID"]
+
+
 def test_the_preview_shows_one_level_by_distance(results):
     assert all(len(names) == 1 for names in results["preview"])
     shown = [names[0] for names in results["preview"]]

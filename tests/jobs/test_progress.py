@@ -60,6 +60,7 @@ def test_time_left_is_proportional_and_unknown_at_first():
     assert time_left(10.0, 0.25) == pytest.approx(30.0)
     assert time_left(10.0, 1.0) == 0.0
     assert time_left(0.1, 0.5) is None and time_left(10.0, 0.001) is None
+    assert time_left(5.0, 0.09) is None and time_left(10.0, 0.05) == pytest.approx(190.0)
 
 
 def test_stage_clock_sums_repeated_stages_even_if_they_fail():

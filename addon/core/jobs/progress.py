@@ -14,7 +14,8 @@ from typing import Generic, TypeVar
 
 from ..errors import Cancelled
 
-MIN_FRACTION, MIN_SECONDS = 0.02, 0.5  # below these, the pace is too uncertain for an estimate of the time left
+MIN_FRACTION, MIN_SECONDS = 0.1, 0.5  # Below these, the pace is too uncertain for an estimate of the time left,
+LONG_FRACTION, LONG_SECONDS = 0.02, 10.0  # unless it is that of a longer time.
 
 Result = TypeVar("Result")
 
@@ -30,12 +31,13 @@ class Progress:
 Steps = Generator[Progress, None, Result]
 
 
-def subprogress(steps: Steps[Result], start: float, stop: float) -> Steps[Result]:
-    """Run `steps` as one stage of a larger task: map its fractions 0..1 to `start`..`stop`. Returns the result of `steps`."""
+def subprogress(steps: Steps[Result], start: float, stop: float, prefix: str = "") -> Steps[Result]:
+    """Run `steps` as one stage of a larger task: map its fractions 0..1 to `start`..`stop`. Returns the result of `steps`. prefix: of its
+    labels."""
     try:
         while True:
             step = next(steps)
-            yield Progress(start + (stop - start) * min(max(step.fraction, 0.0), 1.0), step.label)
+            yield Progress(start + (stop - start) * min(max(step.fraction, 0.0), 1.0), prefix + step.label)
     except StopIteration as end:
         return end.value
     finally:
@@ -57,7 +59,8 @@ def run_to_end(steps: Steps[Result], on_progress: Callable[[Progress], None] | N
 
 def time_left(elapsed: float, fraction: float) -> float | None:
     """Return the remaining seconds at the mean pace so far, or None while it is too early for an estimate."""
-    if fraction < MIN_FRACTION or elapsed < MIN_SECONDS:
+    is_early = fraction < MIN_FRACTION or elapsed < MIN_SECONDS
+    if is_early and (fraction < LONG_FRACTION or elapsed < LONG_SECONDS):
         return None
     return elapsed * (1.0 - fraction) / fraction
 

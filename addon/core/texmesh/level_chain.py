@@ -12,7 +12,7 @@ import numpy as np
 from ..imaging.mipmaps import Mipmaps, build_mipmaps
 from ..jobs.memory import release_memory
 from ..jobs.progress import Progress, Result, Steps, subprogress
-from .level_candidates import Candidate, Candidates, make_candidates, parse_ratios
+from .level_candidates import Candidate, Candidates, make_candidates, min_triangles, parse_ratios
 from .level_choices import AS_MANY_AS_ASKED, MIN_PIXELS, ComparedCandidates, choose_candidates, compare_candidates, count_bytes, view_levels
 from .perception.level_images import LevelImages, measure_difference
 from .perception.switch_distances import MIN_IMAGE, Switch, find_shown_levels, find_switches, open_images
@@ -26,6 +26,11 @@ from .settings import TexmeshSettings
 from .simplification.levels import Simplification, SubsetLevel, extract_level
 from .textured_mesh import TexturedMesh
 
+# Fractions of the time after the analysis, the simplification, the comparison and the choice, by the setting *Vertices*.
+STAGES = {"optimized": (0.03, 0.11, 0.29, 0.87), "original": (0.03, 0.25, 0.6, 0.65)}
+# Fractions of the time of an optimization after a second simplification, and after the refits.
+SECOND_SIMPLIFICATION, REFITS = 0.06, 0.62
+COMPARED_TRIANGLES = 10_000  # Triangles that take about as long as comparisons do that are 1.
 MAX_RENDERED = 20_000  # Triangles of levels that are compared in renders; larger ones are too near to the original for it to matter.
 RENDERED_SIZE, RENDERED_VIEWS = 192, 4  # pixels per side of these renders, and their number
 
@@ -91,6 +96,12 @@ class LevelChain:
     distance_factor: float = 1.0
 
 
+def estimate_costs(triangles: np.ndarray, settings: TexmeshSettings) -> np.ndarray:
+    """Return the relative times (N,) that `make_levels` takes for meshes with these numbers (N,) of triangles: comparisons of images, which
+    hardly depend on them, take most of it."""
+    return np.where(triangles < min_triangles(settings), 0.1, np.cbrt(triangles) + triangles / COMPARED_TRIANGLES)
+
+
 def make_levels(
     mesh: TexturedMesh,
     textures: Sequence[np.ndarray | None],
@@ -108,19 +119,20 @@ def make_levels(
         SettingsError: the budget allows no level, or a ratio is none.
     """
     ratios = parse_ratios(settings.ratios) if settings.levels == "ratios" else []
+    analyzed, simplified, looked_at, finished = STAGES[settings.vertices]
     if scale_map is None:
-        scale_map = yield from _run_stage(analyze_scale_space(mesh, textures, settings), 0.0, 0.35)
+        scale_map = yield from _run_stage(analyze_scale_space(mesh, textures, settings), 0.0, analyzed)
     mipmaps = [None if texture is None else build_mipmaps(texture) for texture in textures]
-    candidates = yield from _run_stage(make_candidates(mesh, scale_map, ratios, settings), 0.35, 0.6)
-    compared = yield from _run_stage(compare_candidates(candidates, mipmaps, settings), 0.6, 0.8)
-    yield Progress(0.8, "Choosing levels")
+    candidates = yield from _run_stage(make_candidates(mesh, scale_map, ratios, settings), analyzed, simplified)
+    compared = yield from _run_stage(compare_candidates(candidates, mipmaps, settings), simplified, looked_at)
+    yield Progress(looked_at, "Choosing levels")
     chosen = choose_candidates(compared, settings)
     finish = _optimize if candidates.is_optimized else _keep
-    kept, images = yield from _run_stage(finish(candidates, compared, chosen, mipmaps, settings), 0.8, 0.95)
+    kept, images = yield from _run_stage(finish(candidates, compared, chosen, mipmaps, settings), looked_at, finished)
     simplification = candidates.simplification
     del candidates  # Their trees for searches are large.
     find_shown = _show_all if settings.levels in AS_MANY_AS_ASKED else _show_visible
-    shown, switches = yield from _run_stage(find_shown(images, settings), 0.95, 1.0)
+    shown, switches = yield from _run_stage(find_shown(images, settings), finished, 1.0)
     levels = [_to_level(kept[index], switch, settings.distance_factor) for index, switch in zip(shown, [None, *switches], strict=True)]
     tried = tuple(
         (len(item.mesh.triangles), settings.distance_factor * size) for item, size in zip(compared.items, compared.pixel_sizes, strict=True)
@@ -147,8 +159,8 @@ def _keep(
     original, *others = (compared.items[index] for index in chosen)
     comparison = LevelComparison(FineSurface.of(original.mesh))
     kept = [original]
-    for item in others:
-        yield Progress(0.9, "Measuring levels")
+    for index, item in enumerate(others):
+        yield Progress(index / len(others), "Measuring levels")
         kept.append(replace(item, distance=comparison.bound_distance(item.mesh)))
     return kept, [compared.images[index] for index in chosen]
 
@@ -169,13 +181,14 @@ def _optimize(
     comparison, tries = LevelComparison(surface), [[item.start for item in others]]
     if len(surface.mesh.triangles) <= MAX_RENDERED:
         targets = [item.start.target for item in others]
-        tries.append((yield from make_starts(surface.mesh, targets, settings, moves_vertices=False))[1])
-    refits = []
-    for starts in tries:
-        refits.append((yield from refit_starts(surface, starts)))
+        second = make_starts(surface.mesh, targets, settings, moves_vertices=False)
+        tries.append((yield from subprogress(second, 0.0, SECOND_SIMPLIFICATION))[1])
+    refits, ends = [], np.linspace(SECOND_SIMPLIFICATION, REFITS, len(tries) + 1).tolist()
+    for starts, begin, end in zip(tries, ends[:-1], ends[1:], strict=True):
+        refits.append((yield from subprogress(refit_starts(surface, starts), begin, end)))
     kept = [original]
     for index, item in enumerate(others):
-        yield Progress(0.9, "Comparing levels")
+        yield Progress(REFITS + (1.0 - REFITS) * index / len(others), "Comparing levels")
         moved = [(refit[index], starts[index].full) for refit, starts in zip(refits, tries, strict=True)]
         limit = max(len(moved[0][0].triangles), item.start.target)
         options = [option for option in moved if len(option[0].triangles) <= limit]

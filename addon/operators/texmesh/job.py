@@ -29,7 +29,7 @@ from ...core.billboards.cloud import Cloud
 from ...core.errors import GeometryError, SettingsError
 from ...core.jobs.progress import Progress, Steps, subprogress
 from ...core.messages import format_count, join_sentences, list_first
-from ...core.texmesh.level_chain import LevelChain, make_levels
+from ...core.texmesh.level_chain import LevelChain, estimate_costs, make_levels
 from ...core.texmesh.scale_space.analysis import analyze_scale_space
 from ...core.texmesh.scale_space.features import ScaleMap
 from ...core.texmesh.settings import AnalysisSettings, SceneSettings, TexmeshSettings
@@ -111,13 +111,15 @@ class LevelsJob:
 
     def core_steps(self) -> Steps[list[tuple[LevelChain, Cloud | None]]]:
         """Make the levels of every mesh, and its billboard cloud."""
-        weights = np.array([len(source.mesh.triangles) for source in self.sources], float)
-        starts = np.concatenate([[0.0], weights.cumsum() / weights.sum()])
+        counts = np.array([len(source.mesh.triangles) for source in self.sources])
+        ends = estimate_costs(counts, self.settings).cumsum()
+        starts = np.concatenate([[0.0], ends / ends[-1]]).tolist()
         chains = []
-        ranges = zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True)
-        for index, (source, (start, stop)) in enumerate(zip(self.sources, ranges, strict=True)):
-            chain = yield from subprogress(make_levels(source.mesh, source.textures, self.settings), start, stop)
-            chains.append((chain, (yield from subprogress(self._build_cloud(index), stop, stop))))
+        for index, source in enumerate(self.sources):
+            start, stop = starts[index : index + 2]
+            prefix = f"{source.name} ({index + 1} of {len(counts)}): " if len(counts) > 1 else ""
+            chain = yield from subprogress(make_levels(source.mesh, source.textures, self.settings), start, stop, prefix)
+            chains.append((chain, (yield from subprogress(self._build_cloud(index), stop, stop, prefix))))
         return chains
 
     def _build_cloud(self, index: int) -> Steps[Cloud | None]:

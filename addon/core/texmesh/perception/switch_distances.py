@@ -26,6 +26,7 @@ CLOSE_RATIO = 0.97  # A size is not enlarged any more from this fraction of the 
 AIMED_RATIO = 0.985  # at the next size that is tried
 MIN_PART, MAX_PART = 0.15, 0.85  # The next size is within this part of the interval between two sizes.
 MIN_SWITCH_RATIO = 1.25  # Ratio of the sizes at two switches in a row; a level between closer ones would hardly be shown.
+PAIR_FACTOR = 0.55  # Time that the comparison of a pair of levels takes, relative to the finer pair before it.
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ def find_switches(images: Sequence[LevelImages], settings: TexmeshSettings, gap:
     """
     search, switches, largest = _PairSearch(images, settings), [], settings.max_image
     for index in range(1, len(images)):
-        yield Progress((index - 1) / (len(images) - 1), f"Comparing level {index} of {len(images) - 1}")
+        yield Progress(1.0 - PAIR_FACTOR ** (index - 1), f"Comparing level {index} of {len(images) - 1}")
         switches.append(search.run(index - 1, index, largest))
         largest = max(switches[-1].pixels - gap, MIN_IMAGE)
         search.release(index - 1)
@@ -81,7 +82,7 @@ def find_shown_levels(images: Sequence[LevelImages], settings: TexmeshSettings) 
     """
     search, shown, switches = _PairSearch(images, settings), [0], []
     for index in range(1, len(images)):
-        yield Progress((index - 1) / (len(images) - 1), f"Comparing level {index} of {len(images) - 1}")
+        yield Progress(1.0 - PAIR_FACTOR ** (index - 1), f"Comparing level {index} of {len(images) - 1}")
         switch = search.run(shown[-1], index, switches[-1].pixels if switches else settings.max_image)
         while switches and switch.pixels > (farthest := _next_pixels(switches[-1].pixels)):
             instead = search.run(shown[-2], index, switches[-2].pixels if len(switches) > 1 else settings.max_image)
