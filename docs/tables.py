@@ -63,7 +63,8 @@ def markdown_table(settings_type: type[Settings]) -> str:
     for item in descriptions:
         flags = [", ".join(f"`{flag}`" for flag in item.flags)] if settings_type.has_flags else []
         conditions = [item.condition] if has_conditions else []
-        rows.append([item.label, *flags, item.format(item.default), _format_range(item), *conditions, item.help])
+        in_panel = "" if item.panel_label == item.label else f" (in the panel: *{item.panel_label}*)"
+        rows.append([item.label + in_panel, *flags, item.format(item.default), _format_range(item), *conditions, item.help])
     titles = ["Setting", *["Flag"] * settings_type.has_flags, "Default", "Range", *["Used if"] * has_conditions, "Description"]
     return "\n".join([f"| {' | '.join(titles)} |", "|---" * len(titles) + "|", *(f"| {' | '.join(row)} |" for row in rows)])
 

@@ -112,7 +112,8 @@ def test_every_setting_has_a_help_text_and_one_table_row():
     for item in DESCRIPTIONS.values():
         assert item.help and not item.help.endswith(".")
         assert all(table.count(f"`{flag}`") == 1 for flag in item.flags)
-        assert table.count(f"| {item.label} |") == 1
+        in_panel = "" if item.panel_label == item.label else f" (in the panel: *{item.panel_label}*)"
+        assert table.count(f"| {item.label}{in_panel} |") == 1
     assert len(table.splitlines()) == len(DESCRIPTIONS) + 2
 
 

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 NOT_PRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # Control characters and line separators.
 QUOTED_OR_NUMBER = re.compile(r'"([^"]*)"|\d[\d,.]*(?<=\d)')
+SENTENCE_END = re.compile(r"[.!?](?= [\"A-Z0-9])")
 NOT_UNICODE = re.compile("[\ud800-\udfff]")  # Python decodes bytes that are not UTF-8 to these code points.
 PLURALS = {"vertex": "vertices", "patch": "patches", "box": "boxes"}  # that do not end in a mere s
 MAX_NAMED = 3  # things of a kind that a message names
@@ -52,6 +53,13 @@ def _merge_alike(sentences: Sequence[str]) -> Sequence[str]:
     if len(sentences) < 3 or "" in names or len(names) < 3:
         return sentences
     return [f'{sentences[0].removesuffix(".")} (likewise "{names[1]}" and {format_count(len(names) - 2, "other")}).']
+
+
+def first_sentences(message: str, max_chars: int) -> str:
+    """Return the sentences at the beginning of `message` that have up to `max_chars` characters together, but at least one sentence."""
+    ends = [*(match.start() + 1 for match in SENTENCE_END.finditer(message)), len(message)]
+    ends = [end for end in ends if message.count('"', 0, end) % 2 == 0 or end == len(message)]  # names may have the signs of an end
+    return message[: max((end for end in ends if end <= max_chars), default=ends[0])]
 
 
 def describe_lacking(lacking: Mapping[str, Sequence[str]], place: str) -> list[str]:

@@ -10,7 +10,7 @@ from typing import Any
 import bpy
 
 from ..core.jobs.progress import run_to_end
-from .error_reports import report_error, report_message, reports_errors
+from .error_reports import report_error, report_message, report_result, reports_errors
 from .job_run import TICK, Job, Run, run_job, status_text
 
 _current: Run | None = None  # operators, panels, timers and load handlers of Blender share the one running job
@@ -118,7 +118,7 @@ class FARFIELD_OT_finish_job(bpy.types.Operator):
             if finished:
                 self.cancel(context)
                 bpy.ops.ed.undo_push(message=run.title)
-                report_message(self, run.message)
+                report_result(self, run.message)
                 run.follow_up()
                 return {"FINISHED"}
         _show_status()
@@ -151,7 +151,10 @@ class FARFIELD_OT_cancel_job(bpy.types.Operator):
 
 
 def start_in_background(job: Job, title: str, follow_up: Callable[[], None] = lambda: None) -> None:
-    """Start `job` while the interface stays usable; no other job may run. It becomes one undo step with this title. follow_up: see `Run`."""
+    """Start `job` while the interface stays usable; no other job may run. It becomes one undo step with this title.
+
+    follow_up: see `Run`.
+    """
     global _current
     _current = Run(job, title, follow_up)
     bpy.app.timers.register(_watch_core, first_interval=TICK)

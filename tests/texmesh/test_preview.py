@@ -16,7 +16,7 @@ from farfield.addon.bridge.texmesh.level_sets import (
     level_sets_in,
     remove_level_set,
 )
-from farfield.addon.bridge.texmesh.ring_overlay import find_rings
+from farfield.addon.bridge.texmesh.ring_overlay import MAX_LABELED, find_labeled_rings, find_rings
 from farfield.addon.bridge.texmesh.temporary_visibility import STATE, resume_crossfades
 from farfield.addon.core.geometry.cameras import Camera, distance_to_box
 from farfield.addon.operators.texmesh import preview
@@ -274,6 +274,20 @@ def test_rings_are_where_levels_switch(levels):
     assert find_rings(levels, Camera(np.zeros(3), 1000, 0.0, 5.0)) == []
     levels.levels[1][ERROR] = levels.levels[2][ERROR]
     assert [number for number, _ in find_rings(levels, camera)] == [2]
+
+
+def test_rings_name_their_object_if_there_are_several(levels):
+    def labels(active) -> list[str]:
+        return [label for _, label, _ in find_labeled_rings(bpy.context.scene, active, view(0.0))]
+
+    assert labels(None) == ["L1", "L2"]
+    for index in range(MAX_LABELED):
+        other = textured_ball(8, f"Rock {index}")
+        new = [NewLevel(other.data.copy(), error, 0.0, 100.0 * error) for error in ERRORS[:2]]
+        add_level_set(other, new, *add_collections(other, bpy.context.scene, [other.name]))
+        if index == 0:
+            assert labels(None) == ["Ball L1", "Ball L2", "Rock 0 L1"]
+    assert labels(None) == [] and labels(levels.levels[1]) == ["Ball L1", "Ball L2"] and labels(other) == [f"{other.name} L1"]
 
 
 @pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])

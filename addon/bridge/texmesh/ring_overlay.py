@@ -14,6 +14,7 @@ from ...core.geometry.cameras import Camera
 from ..viewers import viewport_camera
 from .level_sets import LevelSet, level_sets_in
 
+MAX_LABELED = 4  # Of levels of more objects, only those of the active object have rings.
 LINE_WIDTH, FONT_SIZE = 2.0, 12.0  # pixels
 COLORS = ((0.95, 0.75, 0.15, 0.9), (0.35, 0.75, 0.95, 0.9), (0.60, 0.90, 0.40, 0.9), (0.95, 0.50, 0.45, 0.9), (0.80, 0.60, 0.95, 0.9))
 
@@ -47,7 +48,7 @@ class RingOverlay:
         shader.bind()
         shader.uniform_float("viewportSize", gpu.state.viewport_get()[2:])
         shader.uniform_float("lineWidth", LINE_WIDTH)
-        for number, ring in _find_context_rings():
+        for number, _, ring in _find_context_rings():
             shader.uniform_float("color", COLORS[(number - 1) % len(COLORS)])
             batch_for_shader(shader, "LINE_STRIP", {"pos": np.concatenate([ring, ring[:1]]).astype(np.float32)}).draw(shader)
         gpu.state.depth_test_set("NONE")
@@ -56,14 +57,14 @@ class RingOverlay:
     def _draw_labels(self) -> None:
         region, view = bpy.context.region, bpy.context.region_data
         blf.size(0, FONT_SIZE * bpy.context.preferences.system.ui_scale)
-        for number, ring in _find_context_rings():
+        for number, label, ring in _find_context_rings():
             projected = (location_3d_to_region_2d(region, view, point) for point in ring)
             inside = [xy for xy in projected if xy is not None and 0 <= xy[0] < region.width and 0 <= xy[1] < region.height]
             place = min(inside, key=lambda xy: abs(xy[0] - 0.5 * region.width) + 0.1 * xy[1], default=None)
             if place is not None:
                 blf.color(0, *COLORS[(number - 1) % len(COLORS)])
                 blf.position(0, place[0], place[1] + 4.0, 0.0)
-                blf.draw(0, f"L{number}")
+                blf.draw(0, label)
 
 
 def find_rings(levels: LevelSet, camera: Camera) -> list[tuple[int, np.ndarray]]:
@@ -74,12 +75,22 @@ def find_rings(levels: LevelSet, camera: Camera) -> list[tuple[int, np.ndarray]]
     return [(number, ring_around_box(low, high, camera.switch_distance(error * scale))) for error, number in errors.items() if error > 0.0]
 
 
-def _find_context_rings() -> list[tuple[int, np.ndarray]]:
+def find_labeled_rings(scene: bpy.types.Scene, active: bpy.types.Object | None, camera: Camera) -> list[tuple[int, str, np.ndarray]]:
+    """Return the rings of all levels in a scene, with their numbers and labels: if several objects have levels, the labels name them. Of
+    more than MAX_LABELED, only the `active` one has rings."""
+    found = level_sets_in(scene)
+    shown = found if len(found) <= MAX_LABELED else [levels for levels in found if active in (levels.source, *levels.levels)]
+    names = [f"{levels.label} " if len(found) > 1 else "" for levels in shown]
+    return [
+        (number, f"{name}L{number}", ring) for levels, name in zip(shown, names, strict=True) for number, ring in find_rings(levels, camera)
+    ]
+
+
+def _find_context_rings() -> list[tuple[int, str, np.ndarray]]:
     context = bpy.context
     if context.region_data is None:
         return []
-    camera = viewport_camera(context.region_data, context.region.width)
-    return [ring for levels in level_sets_in(context.scene) for ring in find_rings(levels, camera)]
+    return find_labeled_rings(context.scene, context.active_object, viewport_camera(context.region_data, context.region.width))
 
 
 def ring_around_box(low: np.ndarray, high: np.ndarray, distance: float, corner_segments: int = 16) -> np.ndarray:

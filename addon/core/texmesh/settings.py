@@ -77,7 +77,6 @@ class LevelSettings(Settings):
         True,
         "If a triangle count cannot be reached otherwise: ignore folds of small triangles, seams of normals and colors; drop thin"
         " UV islands and small components; close holes and tunnels",
-        panel_label="Drastic",
     )
     max_difference: float = of_comparison(
         0.04, "Largest mean FLIP difference over the pixels of the object where levels switch", minimum=0.001, maximum=0.5
@@ -204,7 +203,7 @@ class SceneSettings(Settings):
         unit=Unit.FRACTION,
         used_if={"cross_fade": True},
     )
-    keep_original_visible: bool = setting(False, "Keep the original visible in addition to its levels", panel_label="Keep Original")
+    keep_original_visible: bool = setting(False, "Keep the original visible in addition to its levels")
     billboard_cloud: bool = setting(False, "Append a billboard cloud, a few quads with images of the original, as the last level")
     cloud_quads: int = setting(
         64, "Target number of quads of the billboard cloud", minimum=2, maximum=1000, used_if={"billboard_cloud": True}

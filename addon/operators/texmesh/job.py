@@ -218,19 +218,20 @@ class LevelsJob:
 def _count_triangles(
     sources: Sequence[TexturedSource], placements: Sequence[Sequence[Placement]], chains: Sequence[LevelChain], settings: TexmeshSettings
 ) -> list[str]:
-    """Return sentences about the triangles of the levels of each mesh, or, of more than `MAX_LISTED` meshes, of all places together."""
-    places = [len(found) for found in placements]
-    if len(chains) > MAX_LISTED:
+    """Return sentences about the triangles of the levels: of all places together, if there are several meshes, and of each of up to
+    `MAX_LISTED` meshes."""
+    places, sentences = [len(found) for found in placements], []
+    if len(chains) > 1:
         finest, coarsest = (
             sum(number * len(chain.levels[index].mesh.triangles) for number, chain in zip(places, chains, strict=True)) for index in (0, -1)
         )
-        stopped = sum(any(level.constraint for level in chain.levels) for chain in chains)
-        why = f" {format_count(stopped, 'object')} could not get as few triangles as intended." if stopped else ""
         which = (
             f"{sum(places):,} objects and instances of {len(chains):,} meshes" if sum(places) > len(chains) else f"{len(chains)} objects"
         )
-        return [f"{which} have levels, {finest:,} triangles in the finest and {coarsest:,} in the coarsest.{why}"]
-    sentences = []
+        sentences.append(f"{which} have levels, {finest:,} triangles in the finest and {coarsest:,} in the coarsest.")
+    if len(chains) > MAX_LISTED:
+        stopped = sum(any(level.constraint for level in chain.levels) for chain in chains)
+        return [*sentences, f"{format_count(stopped, 'object')} could not get as few triangles as intended." if stopped else ""]
     for source, number, chain in zip(sources, places, chains, strict=True):
         counts = ", ".join(f"{len(level.mesh.triangles):,}" for level in chain.levels)
         where = f", shared by {number:,} objects or instances" if number > 1 else ""
