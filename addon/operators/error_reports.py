@@ -11,7 +11,7 @@ from ..core.errors import Cancelled, FarfieldError
 from ..core.files.defect_log import defect_message, write_defect_log
 from ..core.messages import first_sentences, single_line
 
-STATUS_CHARS = 120  # that fit the status bar of a small window, besides MORE
+STATUS_CHARS = 120  # that fit the status bar of a small window, followed by MORE
 MORE = "More in the Info editor."
 
 

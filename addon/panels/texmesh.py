@@ -105,10 +105,15 @@ def draw_levels(layout: bpy.types.UILayout, levels: LevelSet) -> None:
     rows = []
     for number, level in enumerate(levels.levels):
         error = float(level[ERROR])
-        distance, pixels = float(level.get(SWITCH_DISTANCE, 0.0)), side / error if error else 0.0
+        distance, pixels = float(level.get(SWITCH_DISTANCE, 0.0)) if error else 0.0, side / error if error else 0.0
         count = int(level.get(TRIANGLES, len(level.data.polygons)))
-        rows.append((f"L{number}", f"{count:,}", f"{distance:.3g}" if error else "0", f"{pixels:.0f}" if error else "all"))
+        rows.append((f"L{number}", f"{count:,}", format_distance(distance), f"{pixels:.0f}" if error else "all"))
     draw_table(layout, LEVEL_TITLES, rows)
+
+
+def format_distance(distance: float) -> str:
+    """Return a distance with at least three significant digits, without an exponent if it is large."""
+    return f"{distance:,.0f}" if distance >= 1000.0 else f"{distance:.3g}"
 
 
 class FARFIELD_PT_texmesh_inspect(SettingsPanel, bpy.types.Panel):

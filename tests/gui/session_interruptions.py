@@ -13,8 +13,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not add the script's folder
 
-from session import FOLDER, create_tree, current_job, results, start_session
-from session_texmesh import create_ball
+from session import FOLDER, create_tree, current_job, module, results, start_session, wait_for_job
+from session_texmesh import create_ball, visible_objects
 from session_unwrap import create_bumpy_ball
 
 from lib import window_session
@@ -80,8 +80,37 @@ def in_viewport(call: Callable[[], object]) -> None:
         call()
 
 
+def interrupt_previews() -> Iterator[float]:
+    """Do the same to levels whose preview has started by itself."""
+    results["previews"] = {}
+    preview = module("addon.operators.texmesh.preview").current
+    values = {"levels": "number", "number": 3, "views": 1, "max_image": 32, "vertices": "original"}
+    for kind, interrupt in INTERRUPTIONS.items():
+        in_viewport(load_another_file)
+        yield 0.5
+        bpy.data.objects.remove(bpy.data.objects["Cube"])
+        in_viewport(create_ball)
+        in_viewport(partial(bpy.ops.ed.undo_push, message="ball"))
+        before = set(Path(tempfile.gettempdir()).glob(DEFECTS))
+        in_viewport(partial(bpy.ops.farfield.texmesh_levels, "INVOKE_DEFAULT", **values))
+        yield from wait_for_job()
+        yield 1.0
+        had_started, shown = preview.follows_view, visible_objects()
+        in_viewport(interrupt)
+        yield 1.0
+        results["previews"][kind] = {
+            "had_started": had_started,
+            "shown": shown,
+            "visible": visible_objects(),
+            "states": sum("farfield_texmesh_shown" in item for item in bpy.data.objects),
+            "rings": preview.follows_view,
+            "defects": len(set(Path(tempfile.gettempdir()).glob(DEFECTS)) - before),
+        }
+
+
 def session() -> Iterator[float]:
     """Run the session; yields pauses in seconds."""
+    yield from interrupt_previews()
     results["runs"] = []
     for name, (create, properties) in JOBS.items():
         for kind, interrupt in INTERRUPTIONS.items():

@@ -26,5 +26,14 @@ def test_all_jobs_end(results):
     assert [run for run in results["runs"] if not run["has_ended"]] == []
 
 
+def test_previews_that_started_by_themselves_leave_no_state(results):
+    previews = results["previews"]
+    assert set(previews) == {"delete", "load", "undo"}
+    for kind, state in previews.items():
+        assert state["had_started"] and len(state["shown"]) == 1, kind
+        assert (state["states"], state["defects"]) == (0, 0), kind
+    assert previews["undo"]["visible"] == ["Ball"] and not previews["load"]["rings"]
+
+
 def test_nothing_is_a_defect(results):
     assert {f"{run['job']} {run['interruption']}": run["defects"] for run in results["runs"] if run["defects"]} == {}

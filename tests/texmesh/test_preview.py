@@ -16,7 +16,7 @@ from farfield.addon.bridge.texmesh.level_sets import (
     level_sets_in,
     remove_level_set,
 )
-from farfield.addon.bridge.texmesh.ring_overlay import MAX_LABELED, find_labeled_rings, find_rings
+from farfield.addon.bridge.texmesh.ring_overlay import MAX_LABELED, find_free_box, find_labeled_rings, find_rings
 from farfield.addon.bridge.texmesh.temporary_visibility import STATE, resume_crossfades
 from farfield.addon.core.geometry.cameras import Camera, distance_to_box
 from farfield.addon.operators.texmesh import preview
@@ -288,6 +288,13 @@ def test_rings_name_their_object_if_there_are_several(levels):
         if index == 0:
             assert labels(None) == ["Ball L1", "Ball L2", "Rock 0 L1"]
     assert labels(None) == [] and labels(levels.levels[1]) == ["Ball L1", "Ball L2"] and labels(other) == [f"{other.name} L1"]
+
+
+def test_labels_of_rings_do_not_overlap():
+    boxes = []
+    for x, y in ((10.0, 100.0), (30.0, 95.0), (10.0, 108.0), (90.0, 100.0)):
+        boxes.append(find_free_box(boxes, x, y, (40.0, 12.0)))
+    assert boxes == [(10.0, 100.0, 50.0, 112.0), (30.0, 112.0, 70.0, 124.0), (10.0, 124.0, 50.0, 136.0), (90.0, 100.0, 130.0, 112.0)]
 
 
 @pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])

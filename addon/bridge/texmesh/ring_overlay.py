@@ -1,6 +1,7 @@
 """Overlay of switch rings: where in the horizontal plane a 3D Viewport would have to be for a level to switch."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import blf
@@ -16,6 +17,7 @@ from .level_sets import LevelSet, level_sets_in
 
 MAX_LABELED = 4  # Of levels of more objects, only those of the active object have rings.
 LINE_WIDTH, FONT_SIZE = 2.0, 12.0  # pixels
+LabelBox = tuple[float, float, float, float]  # left, bottom, right and top, in pixels
 COLORS = ((0.95, 0.75, 0.15, 0.9), (0.35, 0.75, 0.95, 0.9), (0.60, 0.90, 0.40, 0.9), (0.95, 0.50, 0.45, 0.9), (0.80, 0.60, 0.95, 0.9))
 
 
@@ -57,14 +59,25 @@ class RingOverlay:
     def _draw_labels(self) -> None:
         region, view = bpy.context.region, bpy.context.region_data
         blf.size(0, FONT_SIZE * bpy.context.preferences.system.ui_scale)
+        taken: list[LabelBox] = []
         for number, label, ring in _find_context_rings():
             projected = (location_3d_to_region_2d(region, view, point) for point in ring)
             inside = [xy for xy in projected if xy is not None and 0 <= xy[0] < region.width and 0 <= xy[1] < region.height]
             place = min(inside, key=lambda xy: abs(xy[0] - 0.5 * region.width) + 0.1 * xy[1], default=None)
             if place is not None:
                 blf.color(0, *COLORS[(number - 1) % len(COLORS)])
-                blf.position(0, place[0], place[1] + 4.0, 0.0)
+                taken.append(find_free_box(taken, place[0], place[1] + 4.0, blf.dimensions(0, label)))
+                blf.position(0, *taken[-1][:2], 0.0)
                 blf.draw(0, label)
+
+
+def find_free_box(taken: Sequence[LabelBox], x: float, y: float, size: tuple[float, float]) -> LabelBox:
+    """Return the box of a label of this width and height at (x, y), or as far above as it takes not to overlap one of `taken`."""
+    width, height = size
+    for left, bottom, right, top in sorted(taken, key=lambda box: box[1]):
+        if left < x + width and x < right and bottom < y + height and y < top:
+            y = top
+    return x, y, x + width, y + height
 
 
 def find_rings(levels: LevelSet, camera: Camera) -> list[tuple[int, np.ndarray]]:

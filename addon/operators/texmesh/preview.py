@@ -84,7 +84,7 @@ class LevelPreview:
         _reselect(selections.values())
 
     def show_again(self) -> None:
-        """Let the next tick show the levels anew, from what was shown before."""
+        """Show what was shown before, and let the next tick show the levels again."""
         self.shown.clear()
         restore(bpy.data.objects)
 
