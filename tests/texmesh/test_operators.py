@@ -7,8 +7,14 @@ import pytest
 from farfield.addon.bridge.lod_crossfade import CROSSFADE
 from farfield.addon.bridge.texmesh.level_sets import ERROR, level_sets_in
 from farfield.addon.bridge.texmesh.scale_attributes import SCALE_ATTRIBUTE, read_scales
+from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.messages import first_sentences
 from farfield.addon.core.texmesh import TexmeshSettings
+from farfield.addon.core.texmesh.settings import SceneSettings
 from farfield.addon.operators import properties
+from farfield.addon.operators.job_run import run_job
+from farfield.addon.operators.texmesh import preview
+from farfield.addon.operators.texmesh.job import prepare_levels
 from textured_scenes import textured_ball
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
@@ -93,6 +99,36 @@ def test_several_objects_stay_selected_and_the_active_one_stays_active(ball):
     assert bpy.ops.farfield.texmesh_levels(**SMALL) == {"FINISHED"}
     again = {levels.source: levels.levels for levels in level_sets_in(bpy.context.scene)}
     assert again.keys() == {ball, other} and bpy.context.view_layer.objects.active == again[ball][0]
+
+
+def test_no_preview_starts_in_scripts(ball):
+    make()
+    assert bpy.ops.farfield.texmesh_crossfade() == {"FINISHED"}
+    assert not preview.current.is_running
+
+
+def test_the_progress_names_the_object_and_never_decreases(ball):
+    settings = TexmeshSettings(views=1, max_image=32)
+    steps = []
+    run_to_end(prepare_levels(bpy.context, [ball], settings, SceneSettings()).core_steps(), steps.append)
+    assert not any("Ball" in step.label for step in steps)
+    steps.clear()
+    other = textured_ball(12, "Other")
+    run_to_end(prepare_levels(bpy.context, [ball, other], settings, SceneSettings()).core_steps(), steps.append)
+    fractions = [step.fraction for step in steps]
+    assert fractions == sorted(fractions) and fractions[0] == 0.0 and fractions[-1] > 0.9
+    first, second = ([step.label.startswith(name) for step in steps] for name in ("Ball (1 of 2): ", "Other (2 of 2): "))
+    assert all(a != b for a, b in zip(first, second, strict=True)) and first == sorted(first, reverse=True)
+    assert 0.1 < steps[second.index(True)].fraction < 0.5
+
+
+def test_the_result_of_several_objects_begins_with_their_number(ball):
+    textured_ball(8, "Other").scale.x = 2.0
+    textured_ball(12, "Third")
+    bpy.ops.object.select_all(action="SELECT")
+    job = prepare_levels(bpy.context, bpy.context.selected_objects, TexmeshSettings(**SMALL), SceneSettings())
+    message = run_to_end(run_job(job))
+    assert message.startswith("3 objects have levels, ") and len(first_sentences(message, 120)) < 120
 
 
 def test_levels_are_removed_with_their_data(ball):

@@ -30,7 +30,7 @@ from .textured_mesh import TexturedMesh
 STAGES = {"optimized": (0.03, 0.11, 0.29, 0.87), "original": (0.03, 0.25, 0.6, 0.65)}
 # Fractions of the time of an optimization after a second simplification, and after the refits.
 SECOND_SIMPLIFICATION, REFITS = 0.06, 0.62
-COMPARED_TRIANGLES = 10_000  # Triangles that take about as long as comparisons do that are 1.
+COMPARED_TRIANGLES = 10_000  # Triangles whose simplification takes as long as the comparisons of a mesh of one.
 MAX_RENDERED = 20_000  # Triangles of levels that are compared in renders; larger ones are too near to the original for it to matter.
 RENDERED_SIZE, RENDERED_VIEWS = 192, 4  # pixels per side of these renders, and their number
 
