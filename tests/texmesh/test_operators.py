@@ -108,12 +108,12 @@ def test_no_preview_starts_in_scripts(ball):
 
 
 def test_the_progress_names_the_object_and_never_decreases(ball):
-    settings = TexmeshSettings(views=1, max_image=32)
+    settings = TexmeshSettings(levels="ratios", ratios="0.3", views=1, max_image=16)
     steps = []
     run_to_end(prepare_levels(bpy.context, [ball], settings, SceneSettings()).core_steps(), steps.append)
     assert not any("Ball" in step.label for step in steps)
     steps.clear()
-    other = textured_ball(12, "Other")
+    other = textured_ball(10, "Other")
     run_to_end(prepare_levels(bpy.context, [ball, other], settings, SceneSettings()).core_steps(), steps.append)
     fractions = [step.fraction for step in steps]
     assert fractions == sorted(fractions) and fractions[0] == 0.0 and fractions[-1] > 0.9
@@ -124,11 +124,14 @@ def test_the_progress_names_the_object_and_never_decreases(ball):
 
 def test_the_result_of_several_objects_begins_with_their_number(ball):
     textured_ball(8, "Other").scale.x = 2.0
-    textured_ball(12, "Third")
+    for name, rings in (("Third", 12), ("Fourth", 10)):
+        textured_ball(rings, name)
+    bpy.ops.mesh.primitive_plane_add()
     bpy.ops.object.select_all(action="SELECT")
     job = prepare_levels(bpy.context, bpy.context.selected_objects, TexmeshSettings(**SMALL), SceneSettings())
     message = run_to_end(run_job(job))
-    assert message.startswith("3 objects have levels, ") and len(first_sentences(message, 120)) < 120
+    assert message.startswith("5 objects have levels, ") and len(first_sentences(message, 120)) < 120
+    assert "Too few triangles to simplify: 1 object." in message
 
 
 def test_levels_are_removed_with_their_data(ball):

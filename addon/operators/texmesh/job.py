@@ -231,6 +231,8 @@ def _count_triangles(
         sentences.append(f"{which} have levels, {finest:,} triangles in the finest and {coarsest:,} in the coarsest.")
     if len(chains) > MAX_LISTED:
         stopped = sum(any(level.constraint for level in chain.levels) for chain in chains)
+        small = sum(bool(describe_small(source, settings)) for source in sources)
+        sentences.append(f"Too few triangles to simplify: {format_count(small, 'object')}." if small else "")
         return [*sentences, f"{format_count(stopped, 'object')} could not get as few triangles as intended." if stopped else ""]
     for source, number, chain in zip(sources, places, chains, strict=True):
         counts = ", ".join(f"{len(level.mesh.triangles):,}" for level in chain.levels)
