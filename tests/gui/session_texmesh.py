@@ -136,6 +136,7 @@ def session() -> Iterator[float]:
     results["after_preview"], results["rings_hidden"] = visible_objects(), not preview.is_running
 
     view.view_distance = 8.0
+    yield from press_button(user, "farfield.texmesh_preview")
     yield from scroll_sidebar(user)
     before = scene_state()
     view.view_perspective = "ORTHO"
@@ -153,6 +154,7 @@ def session() -> Iterator[float]:
     user.press("ESC", *center)
     yield 1.0
     results["after_calibration"] = scene_state() == before
+    results["preview_after_calibration"] = preview.follows_view and visible_objects()
     results["perspective_afterwards"] = view.view_perspective
     results["answers"] = json.loads(bpy.context.scene["farfield_texmesh_answers"])
     results["overlays_again"] = user.area.spaces.active.overlay.show_overlays

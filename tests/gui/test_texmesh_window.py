@@ -61,5 +61,6 @@ def test_everything_is_visible_again_afterwards(results):
 def test_the_calibration_records_answers_and_leaves_nothing_else(results):
     assert results["calibrating"] and results["after_calibration"] and results["overlays_again"]
     assert (results["perspective_of_calibration"], results["perspective_afterwards"]) == ("PERSP", "ORTHO")
+    assert len(results["preview_after_calibration"]) == 1
     nearer, farther = results["answers"]
     assert nearer["accepted_distance"] <= nearer["start_distance"] and farther["accepted_distance"] > farther["start_distance"]

@@ -101,6 +101,7 @@ class FARFIELD_OT_texmesh_calibrate(bpy.types.Operator):
         global _run
         if context.window is None or context.area is None or context.area.type != "VIEW_3D":
             return self.execute(context)
+        self._followed_view, self._followed_all = preview.follows_view, preview.follows_all
         preview.stop()
         if context.mode != "OBJECT":
             bpy.ops.object.mode_set(mode="OBJECT")
@@ -145,6 +146,7 @@ class FARFIELD_OT_texmesh_calibrate(bpy.types.Operator):
 
     def cancel(self, context: bpy.types.Context) -> None:
         """Remove everything temporary: the calibration has ended, the window is closed or Blender quits."""
+        ended_by_user = _run is self._run
         end_calibration()
         context.window_manager.event_timer_remove(self._timer)
         area = find_area(self._area_address)
@@ -152,6 +154,8 @@ class FARFIELD_OT_texmesh_calibrate(bpy.types.Operator):
             self._viewport.restore(area.spaces.active)
             area.header_text_set(None)
             area.tag_redraw()
+        if ended_by_user and self._followed_view:
+            preview.follow_view(area, self._followed_all)
         context.workspace.status_text_set(None)
 
 
