@@ -12,8 +12,7 @@ MAX_TURN = np.radians(30.0)  # A normal may turn so much against the surface whe
 
 
 def find_corner_normals(mesh: TexturedMesh, fine: TexturedMesh | None = None) -> np.ndarray:
-    """Return normals (T, 3, 3) float32 of corners: those of the mesh. Without any, they are those of the vertex, or of the face where it
-    deviates more than 40 degrees.
+    """Return normals (T, 3, 3) float32 of corners: those of the mesh. Without any it is shaded flat, and they are those of the faces.
 
     fine: the mesh that `mesh` is a level of, None for none.
     """
@@ -22,9 +21,7 @@ def find_corner_normals(mesh: TexturedMesh, fine: TexturedMesh | None = None) ->
         corners = mesh.attributes[mesh.wedge_triangles, :3] if fine is None else repair_normals(fine, mesh)
         fill_flat(corners, faces)
         return corners.astype(np.float32)
-    corners = vertex_normals(mesh.vertices, mesh.triangles)[mesh.triangles]
-    is_sharp = np.einsum("tci,ti->tc", corners, faces) < MIN_SMOOTH_COSINE
-    return np.where(is_sharp[..., None], faces[:, None], corners).astype(np.float32)
+    return np.broadcast_to(faces[:, None], mesh.triangles.shape + (3,)).astype(np.float32)
 
 
 def repair_normals(fine: TexturedMesh, level: TexturedMesh) -> np.ndarray:
