@@ -220,3 +220,13 @@ def test_holes_of_three_edges_are_found():
     assert holes.shape == (3, 1)
     vertices = engine.topology.starts[holes[:, 0]]
     assert [tuple(np.roll(corners, turn)) for turn in range(3)].count(tuple(vertices)) == 1
+
+
+def test_small_holes_are_closed_before_they_become_slits():
+    """Only the 25 narrow holes of a plate are closed, and not the four wide ones, although all could stay."""
+    is_solid = np.ones((41, 41, 4), bool)
+    is_solid[4:40:8, 4:40:8] = False
+    for x, y in ((7, 7), (7, 31), (31, 7), (31, 31)):
+        is_solid[x : x + 3, y : y + 3] = False
+    (level,) = simplify(make_part(is_solid, has_texture=False), [300], "optimized")
+    assert level.drastic_steps == ("25 tunnels were closed.",)

@@ -1,7 +1,8 @@
 """Drastic simplification (section I.B of the paper): what goes on where constraints stop the collapses.
 
-The steps are taken one after the other, as far as needed, and again for each target. The size of small parts follows from the mean edge
-length of a mesh with as many triangles as the target.
+The steps are taken one after the other, as far as needed, and again for each target. Where seams have costs instead of being locked, small
+openings are closed before: narrow tunnels would become slits. The size of small parts follows from the mean edge length of a mesh with as
+many triangles as the target.
 """
 
 from dataclasses import replace
@@ -22,6 +23,7 @@ LARGER_FACTOR = 2.0  # Triangles up to this multiple of the size of small ones f
 MIN_FILL_QUALITY = 1e-3  # in texture space, of triangles that close holes
 SIMPLEST_COUNT = 4  # Components of at most so many triangles, such as tetrahedra, are dropped at last whatever their size.
 TRIANGLES_PER_HOLE, TRIANGLES_PER_TUNNEL = 4, 12  # About so many triangles are no longer needed when one is closed.
+OPENING_WEIGHT = 0.02  # Closing an opening costs this multiple of the fourth power of its size: its area times a squared distance.
 
 
 class DrasticSteps:
@@ -42,6 +44,13 @@ class DrasticSteps:
             has_many = locked_count > MAX_LOCKED_FRACTION * target / 2.0  # A surface has half as many vertices as triangles.
             if self._settings.drastic_simplification and has_many:
                 step(0.0)
+
+    def close_cheap_openings(self, cost: float, target: int) -> None:
+        """Close openings that cost less than a collapse, which costs at least `cost`, on the way to `target` triangles."""
+        if self._settings.drastic_simplification and self._engine.crosses_seams:
+            self._target, self._taken, size = target, 0, (max(cost, 0.0) / OPENING_WEIGHT) ** 0.25
+            while self._close_holes(size) or self._close_tunnels(size):
+                pass
 
     def take_next(self, target: int) -> bool:
         """Take the next step that changes anything on the way to `target` triangles. Return whether there was one."""

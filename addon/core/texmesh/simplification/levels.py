@@ -20,6 +20,7 @@ from .engine import CollapseEngine, RemovalOrder
 from .removal_orders import CheapestOrder, CollapseCost, GivenOrder, TextureQuadrics
 from .wedge_quadrics import WedgeQuadrics
 
+CHECK_FRACTION = 0.85  # Openings are looked for whenever this fraction of the triangles is left since the last time.
 TOLERANCE = 0.01  # A count that exceeds the target by this fraction has reached it.
 REFUSALS = {
     VALID: "{} without a possible collapse",
@@ -137,7 +138,7 @@ def _make_levels(engine: CollapseEngine, order: RemovalOrder, targets: list[int]
     drastic = DrasticSteps(engine, order, settings)
     initial_count = engine.triangle_count
     last_target = min(targets, default=initial_count)
-    levels = []
+    levels, checked_count = [], initial_count
     for target in targets:
         if engine.triangle_count > target:
             drastic.prepare(target)
@@ -146,6 +147,9 @@ def _make_levels(engine: CollapseEngine, order: RemovalOrder, targets: list[int]
             fraction = (initial_count - engine.triangle_count) / max(initial_count - last_target, 1)
             yield Progress(min(max(fraction, 0.0), 1.0), "Simplifying")
             is_exhausted = not _advance(engine, order, drastic, target)
+            if engine.triangle_count < CHECK_FRACTION * checked_count:
+                checked_count = engine.triangle_count
+                drastic.close_cheap_openings(order.least_cost, target)
         levels.append(_take_level(engine, drastic, target))
     return Simplification(
         levels=tuple(levels),
