@@ -100,5 +100,5 @@ def make_refit_levels(
     Raises:
         SettingsError: the targets do not descend or are not positive.
     """
-    _, starts = yield from subprogress(make_starts(fine, targets, settings), 0.0, TUNING.simplification_fraction)
+    _, starts = yield from subprogress(make_starts(fine, None, targets, settings), 0.0, TUNING.simplification_fraction)
     return (yield from subprogress(refit_starts(FineSurface.of(fine), starts, iterations), TUNING.simplification_fraction, 1.0))

@@ -65,6 +65,11 @@ class CornerAttributes:
             has_normals=self.fine.has_normals,
         )
 
+    @property
+    def source_normals(self) -> np.ndarray | None:
+        """(S, 3) normals at the corners that the fine mesh was built from, zero on flat faces; None if all is flat."""
+        return self.fine.attributes[self._source_wedges, :3].astype(np.float64) if self.fine.has_normals else None
+
     @cached_property
     def _fine_values(self) -> np.ndarray:
         """(T, 3, A) attributes of the corners of the fine mesh."""

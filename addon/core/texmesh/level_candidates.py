@@ -94,7 +94,7 @@ def make_candidates(mesh: TexturedMesh, scale_map: ScaleMap, ratios: Sequence[fl
     attributes = CornerAttributes(mesh, FineSurface.of(plain)) if is_optimized else None
     starts: Sequence[RefitStart | None] = [None] * len(targets)
     if is_optimized:
-        simplification, starts = yield from subprogress(make_starts(plain, targets, settings), 0.0, 0.6)
+        simplification, starts = yield from subprogress(make_starts(plain, attributes.source_normals, targets, settings), 0.0, 0.6)
     if is_optimized and settings.removal_order != "scale":
         levels = [start.full for start in starts]
     else:

@@ -177,11 +177,12 @@ def _optimize(
     with, that one is taken. For small meshes, another optimization begins with levels whose vertices all stayed where they were."""
     del compared.images[1:]  # The optimization needs their memory.
     original, *others = (compared.items[index] for index in chosen)
-    surface, add_to = candidates.attributes.surface, candidates.attributes.add_to
+    attributes = candidates.attributes
+    surface, add_to = attributes.surface, attributes.add_to
     comparison, tries = LevelComparison(surface), [[item.start for item in others]]
     if len(surface.mesh.triangles) <= MAX_RENDERED:
         targets = [item.start.target for item in others]
-        second = make_starts(surface.mesh, targets, settings, moves_vertices=False)
+        second = make_starts(surface.mesh, attributes.source_normals, targets, settings, moves_vertices=False)
         tries.append((yield from subprogress(second, 0.0, SECOND_SIMPLIFICATION))[1])
     refits, ends = [], np.linspace(SECOND_SIMPLIFICATION, REFITS, len(tries) + 1).tolist()
     for starts, begin, end in zip(tries, ends[:-1], ends[1:], strict=True):

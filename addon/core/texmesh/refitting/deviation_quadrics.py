@@ -1,4 +1,4 @@
-"""Quadrics of texture deviation, one per wedge: the cost of collapses for levels that are refitted.
+"""Quadrics of texture deviation, one per wedge: with those of shading normals, the cost of collapses for levels that are refitted.
 
 A triangle of the fine mesh, extended to all of UV space, is an affine map S_t from texture coordinates to space. A vertex at x with
 texture coordinates u deviates from it by x - S_t(u), between equal texture coordinates. The cost of a vertex is the integral of the
@@ -14,7 +14,7 @@ import numpy as np
 
 from ...arrays import TINY
 from ...geometry.edges import halfedge_ends
-from ...geometry.mesh import face_areas_and_normals
+from ...geometry.mesh import face_areas_and_normals, longest_side
 from ...geometry.transforms import signed_areas
 from ..simplification.engine import Copies, WedgeMoves
 from ..simplification.topology import Collapses
@@ -22,9 +22,11 @@ from ..simplification.wedge_quadrics import COLUMNS, ROWS, WedgeQuadrics
 from ..textured_mesh import TexturedMesh
 from .border_curves import find_border_halfedges
 from .correspondence import compute_uv_scale
+from .normal_quadrics import NormalQuadrics
 
 CURVE_WEIGHT = 1.0  # Weight of squared distances from an edge of a border in UV space, times its squared length.
 DEVIATION_WEIGHT = 0.5  # Weight of squared deviations of edges on borders in space, times their squared length.
+SHADING_LENGTH = 0.01  # A shading normal that is wrong by a radian costs like this distance, relative to the longest side of the mesh.
 MIN_UV_LENGTH = 1e-9  # Of an edge in UV space, relative to the one in space; shorter ones give no direction.
 LENGTH_WEIGHT = 1e-6  # Weight of the squared length of a collapse, which decides where the map is affine.
 
@@ -33,7 +35,10 @@ class DeviationQuadrics(WedgeQuadrics):
     """A `CollapseCost`: squared texture deviations, integrated over the triangles that wedges stand for. Deviations along the normal count
     `normal_weight` times. With `moves_vertices`, kept vertices move to where they cost least."""
 
-    def __init__(self, mesh: TexturedMesh, normal_weight: float, moves_vertices: bool = True) -> None:
+    def __init__(
+        self, mesh: TexturedMesh, normal_weight: float, source_normals: np.ndarray | None = None, moves_vertices: bool = True
+    ) -> None:
+        """source_normals: (S, 3) for shading, zero on flat faces, at the corners that the mesh was built from; None if all is flat."""
         uv_scale = compute_uv_scale(mesh)
         points = np.column_stack([mesh.vertices[mesh.wedge_vertices], uv_scale * mesh.uvs])
         center = points.mean(axis=0)
@@ -46,7 +51,10 @@ class DeviationQuadrics(WedgeQuadrics):
         for corner in range(3):
             np.add.at(self._quadrics, mesh.wedge_triangles[:, corner], terms)
         self._add_borders(mesh, normals)
-        self._borders = BorderDeviations(mesh, self._points)
+        self._borders, self._shading = BorderDeviations(mesh, self._points), None
+        if source_normals is not None:
+            weights = weights * (SHADING_LENGTH * longest_side(mesh.vertices)) ** 2
+            self._shading = NormalQuadrics(self._positions, mesh.triangles, source_normals[mesh.sources], weights)
         self.finish()
 
     def evaluate(self, collapses: Collapses, moves: WedgeMoves) -> np.ndarray:
@@ -54,8 +62,16 @@ class DeviationQuadrics(WedgeQuadrics):
         (removed, _), (kept, _) = collapses.removed_wedges, collapses.kept_wedges
         costs = self.evaluate_wedges(collapses, moves)
         costs += DEVIATION_WEIGHT * self._borders.evaluate(removed, kept)
+        if self._shading is not None:
+            costs += self._shading.evaluate(collapses.removed, collapses.kept, self._positions[collapses.kept])
         lengths = ((self._points[removed, :3] - self._points[kept, :3]) ** 2).sum(axis=1)
         return costs + LENGTH_WEIGHT * self._areas[removed] * lengths
+
+    def merge(self, collapses: Collapses, moves: WedgeMoves) -> None:
+        """See `CollapseCost`."""
+        super().merge(collapses, moves)
+        if self._shading is not None:
+            self._shading.merge(collapses.removed, collapses.kept)
 
     def merge_wedges(self, removed: np.ndarray, kept: np.ndarray) -> None:
         """See `WedgeQuadrics`."""
@@ -65,6 +81,8 @@ class DeviationQuadrics(WedgeQuadrics):
     def append(self, copies: Copies) -> None:
         """See `RemovalOrder`."""
         super().append(copies)
+        if self._shading is not None:
+            self._shading.append(copies.vertices)
         self._borders.append(len(copies.wedges), self._points)
 
     def _add_borders(self, mesh: TexturedMesh, normals: np.ndarray) -> None:

@@ -74,17 +74,21 @@ class RefitStart:
 
 
 def make_starts(
-    fine: TexturedMesh, targets: list[int], settings: TexmeshSettings, moves_vertices: bool = True
+    fine: TexturedMesh,
+    source_normals: np.ndarray | None,
+    targets: list[int],
+    settings: TexmeshSettings,
+    moves_vertices: bool = True,
 ) -> Steps[tuple[Simplification, list[RefitStart]]]:
     """Return the simplification that makes them, and where the refits of levels with `targets` triangles start.
 
-    moves_vertices: see `DeviationQuadrics`.
+    source_normals, moves_vertices: see `DeviationQuadrics`.
     """
     reduced = [max(round((1.0 - TUNING.split_fraction) * target), 1) for target in targets]
     counts = sorted({*targets, *reduced}, reverse=True)
 
     def make_cost(mesh: TexturedMesh, _vertices: np.ndarray) -> DeviationQuadrics:
-        return DeviationQuadrics(mesh, TUNING.normal_weight, moves_vertices)
+        return DeviationQuadrics(mesh, TUNING.normal_weight, source_normals, moves_vertices)
 
     result = yield from simplify_by_cost(fine, make_cost, counts, settings)
     levels = dict(zip(counts, result.levels, strict=True))
