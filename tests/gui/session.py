@@ -30,6 +30,13 @@ START_TIMEOUT_SECONDS = 20.0
 results: dict = {"error": None}
 
 
+def wait_until(is_done: Callable[[], bool], seconds: float = START_TIMEOUT_SECONDS) -> Iterator[float]:
+    """Wait until `is_done`, or for so long on a busy machine."""
+    start = time.monotonic()
+    while not is_done() and time.monotonic() - start < seconds:
+        yield POLL_SECONDS
+
+
 def create_tree() -> bpy.types.Object:
     """Create a trunk and leaf cards around a crown, as one object with two materials. It is selected and active."""
     random = np.random.default_rng(1)

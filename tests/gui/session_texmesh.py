@@ -12,7 +12,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not add the script's folder
 
-from session import UserInput, module, open_panel_alone, results, save_screenshot, scene_state, start_session, wait_for_job
+from session import UserInput, module, open_panel_alone, results, save_screenshot, scene_state, start_session, wait_for_job, wait_until
 
 
 def create_ball() -> bpy.types.Object:
@@ -45,6 +45,11 @@ def visible_objects() -> list[str]:
     return sorted(item.name for item in bpy.data.objects if item.type == "MESH" and not item.hide_viewport)
 
 
+def shows_one() -> bool:
+    """Return whether one mesh is visible, which Preview sees to with its next step."""
+    return len(visible_objects()) == 1
+
+
 def press_button(user: UserInput, operator: str) -> Iterator[float | tuple[int, int]]:
     """Press the button of `operator`; return its position."""
     x, y = yield from user.find_button(operator)
@@ -71,6 +76,7 @@ def show_in_all_views(user: UserInput) -> Iterator[float]:
     for kind in ("RENDERED", "MATERIAL", "SOLID"):
         shading.type = kind
         yield 2.0
+        yield from wait_until(shows_one)
         results["after_run"][kind] = visible_objects()
         save_screenshot(f"2-levels-{kind.lower()}")
 
@@ -81,6 +87,7 @@ def undo_and_redo(user: UserInput) -> Iterator[float]:
     results["undone"] = visible_objects()
     save_screenshot("2-levels-undone")
     yield from user.press_undo(redo=True)
+    yield from wait_until(shows_one)
     results["redone"] = visible_objects()
 
 
@@ -153,6 +160,7 @@ def session() -> Iterator[float]:
     save_screenshot("5-second-trial")
     user.press("ESC", *center)
     yield 1.0
+    yield from wait_until(shows_one)
     results["after_calibration"] = scene_state() == before
     results["preview_after_calibration"] = preview.follows_view and visible_objects()
     results["perspective_afterwards"] = view.view_perspective
