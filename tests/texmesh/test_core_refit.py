@@ -11,8 +11,9 @@ from farfield.addon.core.geometry.distance import closest_on_mesh
 from farfield.addon.core.geometry.edges import find_edges, halfedge_ends
 from farfield.addon.core.geometry.mesh import TriangleMesh, concatenate
 from farfield.addon.core.geometry.transforms import signed_areas
-from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.jobs.progress import Progress, run_to_end
 from farfield.addon.core.texmesh import level_chain
+from farfield.addon.core.texmesh.refitting import refit as refitting
 from farfield.addon.core.texmesh.refitting.border_curves import find_border_curves, find_border_halfedges
 from farfield.addon.core.texmesh.refitting.comparison import LevelComparison
 from farfield.addon.core.texmesh.refitting.correspondence import sample_surface
@@ -118,6 +119,17 @@ def test_levels_that_the_refit_made_worse_are_those_of_the_simplification(monkey
     chain = run_to_end(level_chain.make_levels(mesh, [checkered(16)], settings))
     assert chain.levels[1].is_moved != is_spiked
     assert np.linalg.norm(chain.levels[1].mesh.vertices, axis=1).max() < 1.1
+
+
+def test_levels_whose_refit_stays_at_its_start_have_all_triangles(monkeypatch, fine):
+    def stay(_fine, level, *_others):
+        yield Progress(0.0, "Refitting")
+        return level
+
+    monkeypatch.setattr(refitting, "refit", stay)
+    _, (start,) = run_to_end(refitting.make_starts(fine, None, [200], TexmeshSettings()))
+    (level,) = run_to_end(refitting.refit_starts(FineSurface.of(fine), [start]))
+    assert len(start.start.triangles) < len(level.triangles) == len(start.full.triangles)
 
 
 @pytest.mark.parametrize(("order", "count"), [("visibility", 1), ("scale", 2)])

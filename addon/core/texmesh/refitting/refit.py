@@ -12,7 +12,7 @@ import numpy as np
 from ...jobs.parallel_steps import run_in_parallel
 from ...jobs.progress import Progress, Steps
 from ..settings import TexmeshSettings
-from ..simplification.levels import Simplification, SubsetLevel, extract_level, simplify_by_cost
+from ..simplification.levels import TOLERANCE, Simplification, SubsetLevel, extract_level, simplify_by_cost
 from ..textured_mesh import TexturedMesh
 from .border_curves import BorderCurves, Freedom, find_border_curves, find_freedom, move_uvs
 from .correspondence import sample_surface
@@ -96,10 +96,14 @@ def make_starts(
 
 
 def refit_starts(surface: FineSurface, starts: Sequence[RefitStart], iterations: int = TUNING.iterations) -> Steps[list[TexturedMesh]]:
-    """Return the levels that `starts` of `make_starts`, or some of them, become. surface: of the fine mesh."""
+    """Return the levels that `starts` of `make_starts`, or some of them, become: the simplification with all triangles where a refit gets
+    no better than its start, or cannot split enough edges. surface: of the fine mesh."""
     fine = surface.mesh
     tasks = [refit(fine, extract_level(fine, start.start), start.target, surface, iterations) for start in starts]
-    return (yield from run_in_parallel(tasks))
+    levels = yield from run_in_parallel(tasks)
+    limits = [(1.0 - TOLERANCE) * len(start.full.triangles) for start in starts]
+    rows = zip(levels, starts, limits, strict=True)
+    return [level if len(level.triangles) >= limit else extract_level(fine, start.full) for level, start, limit in rows]
 
 
 def refit(
