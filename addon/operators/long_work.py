@@ -52,8 +52,8 @@ class LongWork:
         raise NotImplementedError
 
     def prepare_follow_up(self, _context: bpy.types.Context) -> Callable[[], None]:
-        """Return what is called after the undo step of a run in the interface, not in scripts: what it changes is not undone with the run.
-        By default, nothing."""
+        """Return a function that is called after the undo step of a run in the interface, not in scripts: undo does not undo its changes.
+        By default, it does nothing."""
         return lambda: None
 
     @reports_errors

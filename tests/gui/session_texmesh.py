@@ -70,7 +70,7 @@ def scroll_sidebar(user: UserInput) -> Iterator[float]:
 
 
 def show_in_all_views(user: UserInput) -> Iterator[float]:
-    """Record what is visible right after the run in each kind of shading."""
+    """Record the visible meshes right after the run in each kind of shading."""
     results["after_run"] = {}
     shading = user.area.spaces.active.shading
     for kind in ("RENDERED", "MATERIAL", "SOLID"):
@@ -82,7 +82,7 @@ def show_in_all_views(user: UserInput) -> Iterator[float]:
 
 
 def undo_and_redo(user: UserInput) -> Iterator[float]:
-    """Undo the run, and redo it; record what is visible."""
+    """Undo the run, and redo it; record the visible meshes."""
     yield from user.press_undo()
     results["undone"] = visible_objects()
     save_screenshot("2-levels-undone")

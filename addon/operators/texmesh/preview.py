@@ -67,7 +67,7 @@ class LevelPreview:
         self._start()
 
     def stop(self, follows_view: bool = False, flickers: bool = False) -> None:
-        """Show what was shown before, unless one of the two continues."""
+        """Show the objects as before the preview, unless one of the two continues."""
         self.follows_view, self.flickers = self.follows_view and follows_view, self.flickers and flickers
         if not self.follows_view:
             rings.hide()
@@ -78,13 +78,13 @@ class LevelPreview:
         redraw_areas("VIEW_3D")
 
     def suspend(self) -> None:
-        """Show what was shown before, until the next tick."""
+        """Show and select the objects as before the preview, until the next tick."""
         self.show_again()
         selections, self._selections = self._selections, {}
         _reselect(selections.values())
 
     def show_again(self) -> None:
-        """Show what was shown before, and let the next tick show the levels again."""
+        """Show the objects as before the preview, and let the next tick show the levels again."""
         self.shown.clear()
         restore(bpy.data.objects)
 
@@ -115,7 +115,7 @@ class LevelPreview:
             redraw_areas("VIEW_3D")
 
     def _leave(self, levels: LevelSet) -> None:
-        """Show what was shown before of `levels` that do not follow the view any more."""
+        """Show `levels`, which do not follow the view any more, as before the preview."""
         selection = self._selections.pop(levels.collection.name, None)
         if restore([*levels.levels, levels.source]) and selection is not None:
             _reselect([selection])
@@ -150,7 +150,7 @@ class LevelPreview:
 
 @dataclass
 class _Selection:
-    """What is selected of the levels of an object and the object itself.
+    """The selection among the levels of an object and the object itself.
 
     before: session UIDs of those that were selected, and whether they were active. instead: of the levels that have been selected instead.
     """
@@ -261,7 +261,7 @@ def _find_selected(items: Sequence[bpy.types.Object | None]) -> dict[int, bool]:
 
 
 def _reselect(selections: Collection[_Selection]) -> None:
-    """Select what was selected before, as far as what has been selected instead still is: the user may have selected others meanwhile."""
+    """Select the same objects as before, where those selected instead still are: the user may have selected others meanwhile."""
     present = bpy.context.view_layer.objects
     objects = {item.session_uid: item for item in bpy.data.objects if item.name in present} if selections else {}
     for selection in selections:
@@ -290,7 +290,7 @@ def _before_load(*_: Any) -> None:
 
 @bpy.app.handlers.persistent
 def _before_save(*_: Any) -> None:
-    """A saved file holds what was shown before; the next tick goes on."""
+    """A saved file holds the state before the preview; the next tick goes on."""
     current.suspend()
 
 

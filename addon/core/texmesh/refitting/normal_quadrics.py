@@ -10,10 +10,9 @@ import numpy as np
 
 from ...arrays import TINY
 from ...geometry.mesh import face_areas_and_normals, scaled_normals
+from ..simplification.wedge_quadrics import POSITION_COLUMNS, POSITION_ROWS, evaluate_quadrics
 
-ROWS, COLUMNS = np.triu_indices(4)
-FACTORS = np.where(ROWS == COLUMNS, 1.0, 2.0)
-LINEAR = slice(len(ROWS), len(ROWS) + 12)  # The columns of the sums of linear functions; the last column is that of weights.
+LINEAR = slice(len(POSITION_ROWS), len(POSITION_ROWS) + 12)  # The sums of linear functions; the last column is that of weights.
 MIN_SMOOTH_COSINE = np.cos(np.radians(2.0))  # between the normals of a vertex that has one normal
 
 
@@ -33,7 +32,7 @@ class NormalQuadrics:
         self._is_smooth = np.linalg.norm(totals, axis=1) >= MIN_SMOOTH_COSINE * np.maximum(counts, 1)
         functions = _find_functions(corners, normals)
         terms = np.empty((len(triangles), LINEAR.stop + 1))
-        terms[:, : LINEAR.start] = np.einsum("tka,tka->ta", functions[:, :, ROWS], functions[:, :, COLUMNS])
+        terms[:, : LINEAR.start] = np.einsum("tka,tka->ta", functions[:, :, POSITION_ROWS], functions[:, :, POSITION_COLUMNS])
         terms[:, LINEAR] = functions.reshape(-1, 12)
         terms[:, LINEAR.stop] = 1.0
         terms *= (weights / 3.0)[:, None]
@@ -45,8 +44,8 @@ class NormalQuadrics:
     def evaluate(self, removed: np.ndarray, kept: np.ndarray, positions: np.ndarray) -> np.ndarray:
         """Return the costs (N,) of moving vertices `removed` (N,) onto those `kept` (N,), which are at `positions` (N, 3)."""
         sums = self._sums[removed] + self._sums[kept]
+        squares = evaluate_quadrics(sums[:, : LINEAR.start], positions)
         homogeneous = np.column_stack([positions, np.ones(len(positions))])
-        squares = np.einsum("na,na->n", sums[:, : LINEAR.start] * FACTORS, homogeneous[:, ROWS] * homogeneous[:, COLUMNS])
         means = np.einsum("nka,na->nk", sums[:, LINEAR].reshape(-1, 3, 4), homogeneous)
         weights = sums[:, LINEAR.stop]
         return np.clip(squares - (means**2).sum(axis=1) / np.maximum(weights, TINY), 0.0, weights)

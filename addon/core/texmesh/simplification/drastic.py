@@ -48,16 +48,15 @@ class DrasticSteps:
     def close_cheap_openings(self, cost: float, target: int) -> None:
         """Close openings that cost less than a collapse, which costs at least `cost`, on the way to `target` triangles."""
         if self._settings.drastic_simplification and self._engine.crosses_seams:
-            self._target, self._taken, size = target, 0, (max(cost, 0.0) / OPENING_WEIGHT) ** 0.25
-            while self._close_holes(size) or self._close_tunnels(size):
+            self._aim_at(target)
+            while self._close_some(size=(max(cost, 0.0) / OPENING_WEIGHT) ** 0.25):
                 pass
 
     def take_next(self, target: int) -> bool:
         """Take the next step that changes anything on the way to `target` triangles. Return whether there was one."""
         if not self._settings.drastic_simplification:
             return False
-        if target != self._target:
-            self._target, self._taken = target, 0
+        self._aim_at(target)
         steps = (
             self._unlock_attributes,
             self._free_seam_ends,
@@ -79,6 +78,11 @@ class DrasticSteps:
             if steps[self._taken - 1](float(size)):
                 return True
         return False
+
+    def _aim_at(self, target: int) -> None:
+        """Begin with the first step if the target is another one."""
+        if target != self._target:
+            self._target, self._taken = target, 0
 
     @property
     def sentences(self) -> list[str]:
@@ -159,9 +163,12 @@ class DrasticSteps:
     def _close_openings(self, size: float) -> bool:
         """Close holes, or else tunnels, from the smallest on, about as many as there are too many triangles. As long as there are any, the
         step is taken again. Where seams set no limits, a triangle may have the texture of a neighbor."""
-        is_changed = self._close_holes(size) or self._close_tunnels(size)
+        is_changed = self._close_some(size)
         self._taken -= is_changed
         return is_changed
+
+    def _close_some(self, size: float) -> bool:
+        return self._close_holes(size) or self._close_tunnels(size)
 
     def _close_holes(self, size: float) -> bool:
         holes = find_holes(self._engine.topology)

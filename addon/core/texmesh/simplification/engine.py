@@ -58,10 +58,10 @@ class Copies:
 
 
 class RemovalOrder(Protocol):
-    """The order in which vertices are removed, and onto which neighbors. least_cost: of the collapses that were found last; 0 if they have
+    """The order in which vertices are removed, and onto which neighbors. min_cost: of the collapses that were found last; 0 if they have
     none."""
 
-    least_cost: float
+    min_cost: float
 
     def choose_window(self, engine: "CollapseEngine", vertices: np.ndarray, size: int) -> np.ndarray:
         """Return the first `size` of `vertices` (N,), in order."""

@@ -149,7 +149,7 @@ def _make_levels(engine: CollapseEngine, order: RemovalOrder, targets: list[int]
             is_exhausted = not _advance(engine, order, drastic, target)
             if engine.triangle_count < CHECK_FRACTION * checked_count:
                 checked_count = engine.triangle_count
-                drastic.close_cheap_openings(order.least_cost, target)
+                drastic.close_cheap_openings(order.min_cost, target)
         levels.append(_take_level(engine, drastic, target))
     return Simplification(
         levels=tuple(levels),

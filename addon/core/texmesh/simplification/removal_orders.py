@@ -50,7 +50,7 @@ class GivenOrder:
     def __init__(self, positions: np.ndarray, priorities: np.ndarray, protected_fraction: float) -> None:
         """positions: (3, V). priorities: (V,) float64. protected_fraction: see `TexmeshSettings.protected_fraction`."""
         self._positions, self._priorities, self._protected_fraction = positions, priorities, protected_fraction
-        self.least_cost = 0.0
+        self.min_cost = 0.0
         has_ties = len(np.unique(priorities)) < (1.0 - TIED_FRACTION) * len(priorities)
         self._needs_values = has_ties or protected_fraction > 0.0
         self._values = np.zeros(len(priorities))
@@ -101,7 +101,7 @@ class CheapestOrder:
         self._cost = cost
         self._costs = np.zeros(vertex_count)
         self._is_stale = np.ones(vertex_count, bool)
-        self._cutoff, self.least_cost = np.inf, 0.0
+        self._cutoff, self.min_cost = np.inf, 0.0
 
     def choose_window(self, engine: CollapseEngine, vertices: np.ndarray, size: int) -> np.ndarray:
         """See `RemovalOrder`."""
@@ -114,7 +114,7 @@ class CheapestOrder:
         self._costs[stale] = costs
         self._is_stale[stale] = False
         window = window[np.argsort(self._costs[window], kind="stable")]
-        self.least_cost = float(self._costs[window[0]])
+        self.min_cost = float(self._costs[window[0]])
         self._cutoff = min(np.partition(self._costs[vertices], size - 1)[size - 1], MAX_COST_RATIO * max(self._costs[window[0]], 0.0))
         cheap = window[self._costs[window] <= self._cutoff]
         return cheap[:size]

@@ -86,7 +86,7 @@ class WedgeQuadrics:
         quadrics = self._at_vertices[collapses.kept] + self._sum_removed(collapses, moves)
         positions, costs = self._positions[collapses.kept], np.empty(len(quadrics))
         for chunk in slices(len(quadrics), CHUNK_COLLAPSES):  # in parts that stay in the cache
-            costs[chunk] = _evaluate(quadrics[chunk], positions[chunk])
+            costs[chunk] = evaluate_quadrics(quadrics[chunk], positions[chunk])
             if self.moves_vertices:
                 lengths = np.linalg.norm(positions[chunk] - self._positions[collapses.removed[chunk]], axis=1)
                 costs[chunk] -= (1.0 - UNCERTAINTY) * _find_minima(quadrics[chunk], positions[chunk], lengths)[1]
@@ -121,7 +121,7 @@ def fix_uvs(quadrics: np.ndarray, uvs: np.ndarray) -> np.ndarray:
     return np.stack([xx, xy, xz, linear[0], yy, yz, linear[1], zz, linear[2], constant], axis=1)
 
 
-def _evaluate(quadrics: np.ndarray, positions: np.ndarray) -> np.ndarray:
+def evaluate_quadrics(quadrics: np.ndarray, positions: np.ndarray) -> np.ndarray:
     """Return the values (N,) of quadrics (N, 10) at `positions` (N, 3)."""
     homogeneous = np.column_stack([positions, np.ones(len(positions))])
     products = homogeneous[:, POSITION_ROWS] * homogeneous[:, POSITION_COLUMNS]
