@@ -64,9 +64,9 @@ class Page:
         self.call("Page.navigate", url=url)
 
     def wait_for(self, expression: str, seconds: float = 60.0) -> None:
-        """Wait until a JavaScript expression is true."""
+        """Wait until a JavaScript expression, or the value of its promise, is true."""
         end = time.monotonic() + seconds
-        while not self.evaluate(f"Boolean({expression})"):
+        while not self.evaluate(f"Promise.resolve({expression}).then(Boolean)"):
             assert time.monotonic() < end, (expression, self.messages)
             self._loop.run_until_complete(asyncio.sleep(0.02))
 
