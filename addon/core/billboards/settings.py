@@ -57,6 +57,11 @@ class BillboardSettings(Settings):
         used_if={"quads": False, "texture_mb": False},
     )
     levels: int = setting(3, "Number of levels of detail; the error doubles per level", minimum=1, maximum=8)
+    nested_levels: bool = in_detail(
+        False,
+        "Let quads of a coarser level replace whole quads of the finer one, for streaming. Such levels have more quads; none is left out",
+        used_if={"method": ("clusters",)},
+    )
     quads: int = in_detail(0, "Target number of quads of the finest level. Overrides Error; 0 disables", minimum=0, maximum=100_000)
     texture_mb: float = in_detail(0.0, "Target texture memory of all levels. Overrides Error; 0 disables", minimum=0.0, maximum=65_536.0)
     max_normal_deviation: float = in_detail(
@@ -89,3 +94,8 @@ class BillboardSettings(Settings):
     textures: bool = setting(True, "Capture textures from the materials with Cycles")
     samples: int = in_textures(16, "Cycles samples per texel of the captured textures", minimum=1, maximum=4096, used_if={"textures": True})
     seed: int = setting(0, "Seed of the random choices", minimum=0, maximum=2**31 - 1, group="Advanced")
+
+    @property
+    def keeps_all_levels(self) -> bool:
+        """Whether levels nest, so that none may be left out."""
+        return self.nested_levels and self.method == "clusters"
