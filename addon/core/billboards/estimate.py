@@ -12,7 +12,7 @@ import numpy as np
 
 from ..geometry.mesh import PointCloud, TriangleMesh, drop_degenerate, face_areas_and_normals, longest_side
 from ..geometry.transforms import frame_from_normal
-from ..settings import describe
+from .error_search import MAX_ERROR, MIN_ERROR
 from .primitives import Primitives, drop_incomplete_points
 from .settings import BillboardSettings
 
@@ -208,15 +208,15 @@ def _rectangle_areas(areas: np.ndarray, cluster_areas: np.ndarray, positions: np
 
 def _resolve_error(sample: SurfaceSample, settings: BillboardSettings) -> float:
     """Return the relative error of the settings, or the smallest one within their budget of quads or megabytes."""
-    if not settings.quads and not settings.texture_mb:
+    if not settings.quads and not settings.triangles and not settings.texture_mb:
         return settings.error
-    limits = next(item for item in describe(BillboardSettings) if item.name == "error")
-    low, high = limits.minimum, limits.maximum
-    count = settings.levels if settings.texture_mb else 1  # The quads are those of the finest level.
+    low, high = MIN_ERROR, MAX_ERROR
+    count = settings.levels if settings.texture_mb else 1  # Quads and triangles are those of the finest level.
     for _ in range(BISECTION_STEPS):
         candidate = math.sqrt(low * high)
         levels = [estimate_level(sample, settings, candidate * 2.0**index) for index in range(count)]
-        has_too_many_quads = settings.quads and levels[0].quads > settings.quads
+        counted = (levels[0].quads, settings.quads), (levels[0].triangles, settings.triangles)
+        has_too_many = any(limit and number > limit for number, limit in counted)
         is_too_large = settings.texture_mb and sum(level.texels for level in levels) * BYTES_PER_TEXEL > settings.texture_mb * 1e6
-        low, high = (candidate, high) if has_too_many_quads or is_too_large else (low, candidate)
+        low, high = (candidate, high) if has_too_many or is_too_large else (low, candidate)
     return high

@@ -21,6 +21,7 @@ METHODS = {
 }
 OVERLAP_MARGIN = 0.25  # In errors: quads of a convex surface that meet at 30 degrees leave a gap of about this width.
 ROUNDING_MARGIN = 1e-4  # In errors: reserve for rounding to single precision in Blender and in files.
+MAX_BACK_FRACTION = 0.25  # Of the area that a quad shows: where more faces away, it shows both sides of a plate.
 MIN_HALF_SIZE = 1e-12  # In texels: replaces the half size 0 of a quad without height, a divisor.
 CLIP_TOLERANCE = 1e-6  # In half sizes: primitives that exceed the rectangle by less are not clipped.
 CORNER_CUT_DIRECTIONS = np.linspace(0.1, 0.9, 17)  # x component of the normal of a corner cut; its y component is the rest to 1.
@@ -81,8 +82,17 @@ def _build_level(primitives: Primitives, covering: Covering, components: Compone
         _compute_cutout(primitives, patch, texel_size, settings.cutout_corners, MIN_CUT_AREA * error**2) for patch in covering.patches
     ]
     joined = np.array([patch.outline is None and bool(shared[patch.drawn].any()) for patch in covering.patches])
-    solid = np.array([bool(components.solid[patch.drawn].all()) for patch in covering.patches])
+    solid = np.array([_hides_back(primitives, components, patch, settings) for patch in covering.patches])
     return Level(error, texel_size, quads, pack(quads.half_sizes, texel_size), cutouts, joined, solid)
+
+
+def _hides_back(primitives: Primitives, components: Components, patch: Patch, settings: BillboardSettings) -> bool:
+    """Return whether `patch` shows only the outside of solids. One that shows both sides of a thin plate does not."""
+    if not components.solid[patch.drawn].all():
+        return False
+    areas = primitives.areas[patch.drawn]
+    is_behind = primitives.normals[patch.drawn] @ patch.normal < 0.0
+    return settings.method != "clusters" or bool(areas[is_behind].sum() <= MAX_BACK_FRACTION * areas.sum())
 
 
 def _compute_cutout(primitives: Primitives, patch: Patch, texel_size: float, max_corners: int, min_area: float) -> np.ndarray:

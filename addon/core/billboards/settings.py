@@ -54,7 +54,7 @@ class BillboardSettings(Settings):
         minimum=1e-4,
         maximum=0.25,
         unit=Unit.FRACTION,
-        used_if={"quads": False, "texture_mb": False},
+        used_if={"quads": False, "triangles": False, "texture_mb": False},
     )
     levels: int = setting(3, "Number of levels of detail; the error doubles per level", minimum=1, maximum=8)
     nested_levels: bool = in_detail(
@@ -63,6 +63,9 @@ class BillboardSettings(Settings):
         used_if={"method": ("clusters",)},
     )
     quads: int = in_detail(0, "Target number of quads of the finest level. Overrides Error; 0 disables", minimum=0, maximum=100_000)
+    triangles: int = in_detail(
+        0, "Target number of triangles of the finest level. Overrides Error; 0 disables", minimum=0, maximum=1_000_000
+    )
     texture_mb: float = in_detail(0.0, "Target texture memory of all levels. Overrides Error; 0 disables", minimum=0.0, maximum=65_536.0)
     max_normal_deviation: float = in_detail(
         math.radians(60.0),
@@ -71,6 +74,14 @@ class BillboardSettings(Settings):
         maximum=math.radians(90.0),
         unit=Unit.ANGLE,
         panel_label="Max Angle",
+    )
+    normal_scale: float = in_detail(
+        0.25,
+        "Radius around a face, relative to the error, in which the surface decides its normal: smaller bolts, grooves and noise need "
+        "no quads. 0 takes each face's own",
+        minimum=0.0,
+        maximum=8.0,
+        used_if={"method": ("clusters",)},
     )
     max_texture_waste: float = in_detail(
         8.0,
