@@ -79,7 +79,7 @@ def test_rotation_turns_the_normals():
 
 
 @pytest.mark.parametrize("radius", [1e-6, 1e-3, 0.1, 10.0])
-def test_samples_share_the_area_and_are_few(radius):
+def test_samples_divide_the_area_and_are_few(radius):
     primitives = from_mesh(studded_plate()[0])
     owner, positions, areas = _sample(primitives, radius)
     assert len(owner) <= MIN_SAMPLE_LIMIT

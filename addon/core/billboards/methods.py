@@ -24,7 +24,7 @@ from .scale_normals import at_scale
 from .settings import BillboardSettings
 
 REGION_NEIGHBORS = 12  # Per primitive, in the graph over which the region of a quad grows.
-QUAD_COST = 4.0  # Cost of one more quad, in mean areas of a cluster.
+QUAD_COST = 3.5  # Cost of one more quad, in mean areas of a cluster.
 MAX_COVER_ROUNDS = 4
 MAX_NESTED_COVER_ROUNDS = 2  # Of levels that start from the quads of the finer one.
 NEIGHBORS_FRACTION = 0.1  # The proximity graph takes this fraction of the progress bar of `cover_by_clustering`.

@@ -10,7 +10,7 @@ from ..arrays import TINY
 from .primitives import Primitives
 
 CELL_FRACTION = 0.5  # Samples in one cell of this fraction of the radius are merged if their normals are in one octant.
-SAMPLE_SPACING = 0.7  # Of samples on a large face, in radii.
+SAMPLE_SPACING = 1.0  # Of samples on a large face, in radii.
 SAMPLES_PER_PRIMITIVE, MIN_SAMPLE_LIMIT = 8, 20_000  # Maximum number of samples, per primitive, or this many if that is more.
 MIN_COHERENCE = 0.5  # Length of the mean normal of a neighborhood, below which its sides cancel out, as on a thin plate.
 UP = np.array([0.36, 0.48, 0.8])  # The side of plates that have two equal ones: any direction that is unlikely to lie in a plate.
