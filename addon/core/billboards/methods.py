@@ -12,7 +12,7 @@ import numpy as np
 from ..geometry.proximity import nearest_pairs
 from ..geometry.transforms import frames_from_normals
 from ..jobs.progress import Progress, StageClock, Steps, subprogress
-from .clustering.absorption import absorb_small_patches
+from .clustering.absorption import absorb_small_patches, complete_regions
 from .clustering.cover import CoverSettings, cover_with_rectangles
 from .clustering.hierarchy import ClusterBounds, merge_in_rounds
 from .clustering.patches import Covering, Patch, assign_groups, best_facing_patch, group_by_label, merge_coverings
@@ -49,8 +49,7 @@ def cover_by_clustering(
     yield Progress(0.0, "Finding neighbors")
     with clock.stage("neighbors"):
         pairs, distances = primitives.proximity_graph
-        kinds = components.loose & ~components.solid  # Bolts may share quads with what they sit on, leaves may not.
-        same_kind = kinds[pairs[:, 0]] == kinds[pairs[:, 1]]
+        same_kind = components.sheets[pairs[:, 0]] == components.sheets[pairs[:, 1]]
         pairs, distances = pairs[same_kind], distances[same_kind]
         near = pairs[nearest_pairs(pairs, distances, len(primitives), REGION_NEIGHBORS)] if len(pairs) else pairs
     coverings = list(finished)
@@ -72,7 +71,8 @@ def cover_by_clustering(
         with clock.stage("cover"):
             patches = yield from subprogress(steps, 0.5 * (start + stop), stop)
             if settings.normal_scale > 0.0:
-                patches = absorb_small_patches(scaled, kinds, patches, errors[level])
+                patches = absorb_small_patches(scaled, components.sheets, patches, errors[level])
+                patches = complete_regions(primitives, components.sheets, patches, errors[level])
         owner = assign_groups(scaled, patches, groups) if finer else best_facing_patch(scaled, patches)
         coverings.append(Covering(patches, owner))
     return coverings

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from farfield.addon.core.billboards.clustering.absorption import absorb_small_patches
+from farfield.addon.core.billboards.clustering.absorption import absorb_small_patches, complete_regions
 from farfield.addon.core.billboards.clustering.patches import Patch
 from farfield.addon.core.billboards.primitives import from_mesh
 from farfield.addon.core.geometry.mesh import TriangleMesh, concatenate
@@ -48,3 +48,45 @@ def test_only_specks_of_one_kind_within_the_error_are_absorbed(size, height, kin
 def test_nothing_happens_without_a_large_quad():
     patches = absorb(0.04, 0.0)[:0]
     assert patches == []
+
+
+def square(height, side, normal=1.0):
+    """Return two triangles of a horizontal square around the origin at `height`, facing up or down."""
+    corners = 0.5 * side * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]]) + [0.0, 0.0, height]
+    triangles = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    return TriangleMesh(corners, triangles if normal > 0.0 else triangles[:, ::-1].copy())
+
+
+def horizontal_patch(members, height, side, normal=1.0):
+    """Return the patch of a `square`."""
+    axes = np.diag([1.0, normal, normal])
+    rectangle = 0.5 * side * np.array([-1.0, 1.0, -1.0, 1.0])
+    return Patch(axes[2], normal * height, axes[:2], rectangle, members, members)
+
+
+@pytest.mark.parametrize(("host", "count"), [(0.13, 2), (0.16, 1)], ids=["hardly larger", "half again as large"])
+def test_a_speck_needs_a_clearly_larger_host(host, count):
+    """Otherwise the sides of something round, which are all specks but one, would leave only that one."""
+    primitives = from_mesh(concatenate([square(0.0, host), square(0.02, 0.1)]))
+    patches = [horizontal_patch(np.arange(2), 0.0, host), horizontal_patch(np.arange(2, 4), 0.02, 0.1)]
+    assert len(absorb_small_patches(primitives, np.zeros(4, bool), patches, ERROR)) == count
+
+
+def test_a_host_that_faces_the_same_way_is_preferred_to_a_nearer_one():
+    primitives = from_mesh(concatenate([square(0.0, 1.0, -1.0), square(0.045, 1.0), square(0.01, 0.04)]))
+    patches = [
+        horizontal_patch(np.arange(2), 0.0, 1.0, -1.0),
+        horizontal_patch(np.arange(2, 4), 0.045, 1.0),
+        horizontal_patch(np.arange(4, 6), 0.01, 0.04),
+    ]
+    below, above = absorb_small_patches(primitives, np.zeros(6, bool), patches, ERROR)
+    assert below.drawn.tolist() == [0, 1] and above.drawn.tolist() == [2, 3, 4, 5]
+
+
+def test_a_picture_shows_all_that_faces_its_quad_within_the_error():
+    primitives = from_mesh(concatenate([square(0.0, 1.0), square(0.04, 0.2), square(0.02, 0.2, -1.0), square(0.2, 0.2)]))
+    patches = [horizontal_patch(np.arange(2), 0.0, 1.0)]
+    sheets = np.zeros(8, bool)
+    assert complete_regions(primitives, sheets, patches, ERROR)[0].region.tolist() == [0, 1, 2, 3]
+    sheets[2:] = True
+    assert complete_regions(primitives, sheets, patches, ERROR)[0].region.tolist() == [0, 1]
