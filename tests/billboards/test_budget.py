@@ -143,7 +143,7 @@ def test_group_above_its_fraction_gets_the_same_error_as_the_other():
 
 def test_levels_double_the_error_of_each_group_and_have_the_larger():
     mesh = bush()
-    cloud = build_test_cloud(mesh, quads=20, levels=3)
+    cloud = build_test_cloud(mesh, quads=20, levels=3, nested_levels=True)
     for finer, coarser in pairwise(cloud.levels):
         assert coarser.error == pytest.approx(2.0 * finer.error)
         assert coarser.texel_size == pytest.approx(2.0 * finer.texel_size)
