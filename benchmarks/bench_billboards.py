@@ -82,7 +82,7 @@ def measure_table(_sheets: Path | None) -> dict[str, Any]:
             {**make_row(build_untextured(head, method=method, error=error, levels=1)), "paper_quads": quads, "paper_texels": texels}
             for error, (quads, texels) in zip(ERRORS, published, strict=True)
         ]
-    nested = build_untextured(head, error=ERRORS[-1], levels=len(ERRORS))
+    nested = build_untextured(head, error=ERRORS[-1], levels=len(ERRORS), nested_levels=True)
     rows["clusters_nested"] = [
         {"error": level.error / nested.longest_side, "quads": len(level.quads), "texels": level.texel_count}
         for level in reversed(nested.levels)
@@ -184,9 +184,9 @@ def read_mesh(path: Path) -> TriangleMesh:
     return read_source([item for item in bpy.context.scene.objects if item.type == "MESH"], bpy.context.evaluated_depsgraph_get()).mesh
 
 
-def build_untextured(mesh: TriangleMesh, method: str = "clusters", error: float = 0.01, levels: int = 1) -> Cloud:
+def build_untextured(mesh: TriangleMesh, **settings: Any) -> Cloud:
     """Build the cloud of `mesh` without textures."""
-    return run_to_end(build_cloud(mesh, BillboardSettings(method=method, error=error, levels=levels)))
+    return run_to_end(build_cloud(mesh, BillboardSettings(**settings)))
 
 
 PARTS: dict[str, Callable[[Path | None], dict[str, Any]]] = {

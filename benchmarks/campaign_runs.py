@@ -22,7 +22,7 @@ from terrain_files import write_png
 
 SCRIPTS = environment.ROOT / "scripts"
 POLL_SECONDS = 0.02
-BUILD_FLAGS = ("--error", "10%", "--levels", "2", "--samples", "1")
+BUILD_FLAGS = ("--error", "10%", "--levels", "2", "--nested-levels", "--samples", "1")
 BAKE_FLAGS = (
     "--model", "emission", "--views-per-side", "2", "--lights-per-side", "2", "--samples", "1", "--components", "2",
     "--alpha-components", "2", "--shadows-per-side", "2", "--shadow-components", "2", "--executor", "serial", "--directions", "baked",

@@ -52,7 +52,7 @@ def build(_files: Files) -> None:
     """Build the cloud of a cube."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     bpy.ops.mesh.primitive_cube_add(size=2.0)
-    bpy.ops.farfield.billboards_build(error=10.0, levels=2, samples=1)
+    bpy.ops.farfield.billboards_build(error=10.0, levels=2, nested_levels=True, samples=1)
 
 
 def create_terrain(_files: Files) -> None:

@@ -131,11 +131,13 @@ def build_report(job: BillboardJob, clock: StageClock) -> dict[str, Any]:
         "source_triangles": sum(cloud.source_triangles for cloud in clouds),
         "dropped_triangles": sum(cloud.dropped_triangles for cloud in clouds),
         "quads": levels[0]["quads"],
+        "triangles": levels[0]["triangles"],
         "texels": levels[0]["texels"],
         "levels": levels,
         "max_plane_distance": max(cloud.max_plane_distance for cloud in clouds),
         "faces_beyond_normal_bound": sum(cloud.faces_beyond_normal_bound for cloud in clouds),
         "uncovered_faces": sum(cloud.uncovered_faces for cloud in clouds),
+        "notes": [note for cloud in clouds for note in cloud.notes],
         "skipped": job.skipped,
         "seconds": {stage: round(duration, 4) for stage, duration in seconds.items()},
         "peak_memory_mb": round(command_line.peak_memory_mb(), 1),
@@ -148,6 +150,7 @@ def build_level_report(levels: list[Level], objects: list[bpy.types.Object]) -> 
     return {
         "error": max(level.error for level in levels),
         "quads": sum(len(level.quads) for level in levels),
+        "triangles": sum(level.triangle_count for level in levels),
         "texels": sum(level.texel_count for level in levels),
         "switch_distance": distance if math.isfinite(distance) else None,
     }

@@ -56,7 +56,7 @@ def saved_scene(empty_scene, tmp_path):
     camera.location = (0.0, -40.0, 0.0)
     empty_scene.camera = camera
     bpy.ops.mesh.primitive_uv_sphere_add(segments=16, ring_count=8)
-    assert bpy.ops.farfield.billboards_build(error=5.0, levels=2, textures=False) == {"FINISHED"}
+    assert bpy.ops.farfield.billboards_build(error=5.0, levels=2, nested_levels=True, textures=False) == {"FINISHED"}
     assert bpy.ops.farfield.billboards_crossfade() == {"FINISHED"}
     level = bpy.data.objects["Sphere Cloud L0"]
     for index in range(SUNS):

@@ -32,8 +32,8 @@ from .sidebar import (
 )
 
 PANEL = "FARFIELD_PT_billboards"
-ESTIMATE_TITLES = ("Estimate", "Quads", "Texels", "MB")
-LEVEL_TITLES = ("Level", "Quads", "Texels", "MB", "Distance")
+ESTIMATE_TITLES = ("Estimate", "Quads", "Tris", "Texels", "MB")
+LEVEL_TITLES = ("Level", "Quads", "Tris", "Texels", "MB", "Distance")
 
 
 class BillboardSettingsPanel(SettingsPanel):
@@ -110,26 +110,30 @@ def draw_estimate(layout: bpy.types.UILayout, context: bpy.types.Context, group:
         draw_message(layout, result.error_message, "ERROR")
     elif result is not None:
         rows = [
-            (str(index), f"{level.quads:,}", f"{level.texels:,}", format_megabytes(level.bytes))
+            (str(index), f"{level.quads:,}", f"{level.triangles:,}", f"{level.texels:,}", format_megabytes(level.bytes))
             for index, level in enumerate(result.levels)
         ]
         draw_table(layout, ESTIMATE_TITLES, rows)
     elif cache.request(key):
         # Placeholders with the height of the coming table, so that the panel does not jump.
-        draw_table(layout, ESTIMATE_TITLES, [(str(index), "...", "...", "...") for index in range(group.levels)])
+        draw_table(layout, ESTIMATE_TITLES, [(str(index), *("..." for _ in ESTIMATE_TITLES[1:])) for index in range(group.levels)])
     else:
         layout.operator(FARFIELD_OT_billboards_estimate.bl_idname, text="Estimate")
 
 
 def draw_levels(layout: bpy.types.UILayout, cloud: SceneCloud, camera: Camera | None) -> None:
-    """Draw quads, texels and memory of each level of a cloud, and its switch distance for `camera`."""
+    """Draw quads, triangles, texels and memory of each level of a cloud, its switch distance for `camera`, and the notes."""
     layout.label(text=cloud.collection.name, icon="OUTLINER_COLLECTION")
     rows = []
     for index, level in enumerate(cloud.levels):
         distance = "-" if camera is None else format_distance(camera.switch_distance(level["farfield_error"]))
-        figures = f"{level['farfield_quads']:,}", f"{level['farfield_texels']:,}", format_megabytes(cloud.texture_bytes(index))
+        triangles = len(level.data.loops) - 2 * len(level.data.polygons)  # A polygon of C corners has C - 2.
+        counts = level["farfield_quads"], triangles, level["farfield_texels"]
+        figures = *(f"{count:,}" for count in counts), format_megabytes(cloud.texture_bytes(index))
         rows.append((str(index), *figures, distance))
     draw_table(layout, LEVEL_TITLES, rows)
+    for note in cloud.notes:
+        draw_message(layout, note, "INFO")
 
 
 def format_distance(distance: float) -> str:

@@ -61,6 +61,28 @@ def test_two_budgets_are_rejected():
         build_test_cloud(shapes.sphere(6), quads=10, texture_mb=2.0)
 
 
+@pytest.mark.parametrize("budget", [6, 20])
+@pytest.mark.parametrize("mesh", [tree(), shapes.soup(150), shapes.box(cuts=2)], ids=["tree", "soup", "box"])
+def test_any_number_of_quads_from_six_on_is_reached(mesh, budget):
+    cloud = build_test_cloud(mesh, quads=budget, levels=1)
+    count = len(cloud.levels[0].quads)
+    assert count <= budget and (count >= 0.9 * budget or len(mesh.triangles) == 48)
+    assert cloud.max_plane_distance <= 1.0 and cloud.uncovered_faces == 0
+
+
+@pytest.mark.parametrize("budget", [12, 50, 300])
+def test_triangles_are_a_budget(budget):
+    cloud = build_test_cloud(tree(), triangles=budget, levels=1)
+    assert 0.9 * budget <= cloud.levels[0].triangle_count <= budget
+    assert cloud.max_plane_distance <= 1.0 and cloud.uncovered_faces == 0
+
+
+def test_kilobytes_are_reached():
+    cloud = build_test_cloud(tree(), texture_mb=0.02, levels=1)
+    assert megabytes(cloud) <= 0.02
+    assert cloud.max_plane_distance <= 1.0
+
+
 def test_default_is_no_budget():
     assert read_budget(BillboardSettings()) is None
     assert read_budget(BillboardSettings(quads=7)).limit == 7
@@ -121,7 +143,7 @@ def test_group_above_its_fraction_gets_the_same_error_as_the_other():
 
 def test_levels_double_the_error_of_each_group_and_have_the_larger():
     mesh = bush()
-    cloud = build_test_cloud(mesh, quads=20, levels=3)
+    cloud = build_test_cloud(mesh, quads=20, levels=3, nested_levels=True)
     for finer, coarser in pairwise(cloud.levels):
         assert coarser.error == pytest.approx(2.0 * finer.error)
         assert coarser.texel_size == pytest.approx(2.0 * finer.texel_size)
@@ -133,8 +155,8 @@ def test_levels_double_the_error_of_each_group_and_have_the_larger():
 
 def test_too_small_budget_is_rejected_with_the_required_one():
     mesh = shapes.box(cuts=1)
-    with pytest.raises(SettingsError, match=r'"mesh" needs at least 6 quads, at the largest error of 25%, but Quads is 5'):
-        build_test_cloud(mesh, quads=5)
+    with pytest.raises(SettingsError, match=r'"mesh" needs at least \d quads, at the largest error of 50%, but Quads is 1'):
+        build_test_cloud(mesh, quads=1)
     assert len(build_test_cloud(mesh, quads=6).levels[0].quads) == 6
     with pytest.raises(SettingsError, match=r"needs at least [\d.]+ MB of texture.* but Texture MB is 0.001"):
         build_test_cloud(mesh, texture_mb=0.001, levels=1)
@@ -151,7 +173,7 @@ def test_more_quads_than_a_small_mesh_needs_do_not_fill_the_memory():
 
 def test_a_texture_that_is_too_large_at_every_error_is_an_error(monkeypatch):
     monkeypatch.setattr(atlas, "MAX_TEXELS", 100)
-    with pytest.raises(SettingsError, match=r'"mesh" needs a texture of .* even at the largest error of 25%; use a larger Texel Size'):
+    with pytest.raises(SettingsError, match=r'"mesh" needs a texture of .* even at the largest error of 50%; use a larger Texel Size'):
         build_test_cloud(shapes.box(), quads=6)
 
 

@@ -65,7 +65,7 @@ class TestBounds:
     @pytest.mark.parametrize("degrees", [20.0, 60.0])
     @pytest.mark.parametrize("mesh", [sphere(6), bumpy_sphere(7), soup(40), leaf_cards(40)], ids=["sphere", "bumpy", "soup", "cards"])
     def test_clusters_keep_the_normal_bound_on_every_quad(self, mesh, degrees):
-        cloud = build_test_cloud(mesh, max_normal_deviation=np.radians(degrees), levels=2)
+        cloud = build_test_cloud(mesh, max_normal_deviation=np.radians(degrees), normal_scale=0.0, levels=2)
         _, normals = face_areas_and_normals(mesh.corners)
         for level in cloud.levels:
             drawn, quad = drawn_pairs(level)
@@ -149,9 +149,10 @@ class TestKnownShapes:
 
     @pytest.mark.parametrize("degrees", [15.0, 30.0, 45.0, 60.0, 80.0])
     def test_cylinder_is_split_at_the_normal_bound(self, degrees):
-        """If the error does not matter, a quad shows the sides whose normals are within twice the bound."""
+        """If neither the error nor the scale matters, a quad shows the sides whose normals are within twice the bound."""
         sides = 72
-        cloud = build_test_cloud(cylinder(sides=sides, cuts=2, length=1.0), error=0.25, max_normal_deviation=np.radians(degrees))
+        mesh = cylinder(sides=sides, cuts=2, length=1.0)
+        cloud = build_test_cloud(mesh, error=0.25, max_normal_deviation=np.radians(degrees), normal_scale=0.0)
         max_shown = int(2.0 * degrees / (360.0 / sides) + 1e-9) + 1
         min_count = int(np.ceil(sides / max_shown))
         assert min_count <= len(cloud.levels[0].quads) <= 1.5 * min_count + 1.0

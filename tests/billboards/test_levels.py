@@ -1,5 +1,6 @@
-"""Tests of the levels: they nest, their errors double, and each needs fewer quads and texels than the finer one."""
+"""Tests of the levels: each is the best cloud of its error and clearly lighter than the one before; nested ones are a choice."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -7,10 +8,11 @@ import pytest
 
 from farfield.addon.core.billboards.build import build_cloud
 from farfield.addon.core.billboards.cloud import Cloud
+from farfield.addon.core.billboards.lightness import describe_weight, keep_lighter_levels, limit_triangles
 from farfield.addon.core.billboards.settings import BillboardSettings
 from farfield.addon.core.geometry.mesh import TriangleMesh, concatenate
 from farfield.addon.core.jobs.progress import Progress, run_to_end
-from shapes import box, bumpy_sphere, cylinder, leaf_cards, sheet
+from shapes import box, bumpy_sphere, cylinder, leaf_cards, sheet, sphere
 
 MESHES = {
     "bumpy": bumpy_sphere(8),
@@ -21,9 +23,9 @@ MESHES = {
 
 @pytest.fixture(scope="module", params=MESHES)
 def nested(request) -> tuple[TriangleMesh, Cloud]:
-    """Return a mesh and its cloud of four levels."""
+    """Return a mesh and its cloud of four nested levels."""
     mesh = MESHES[request.param]
-    return mesh, run_to_end(build_cloud(mesh, BillboardSettings(error=0.01, levels=4)))
+    return mesh, run_to_end(build_cloud(mesh, BillboardSettings(error=0.01, levels=4, nested_levels=True)))
 
 
 def test_errors_and_texel_sizes_double(nested):
@@ -65,6 +67,79 @@ def test_owners_are_existing_quads(nested):
         assert len(level.cutouts) == len(level.atlas.rectangles) == len(level.joined) == len(level.solid) == len(level.quads)
 
 
+def build(mesh: TriangleMesh, **settings) -> Cloud:
+    return run_to_end(build_cloud(mesh, BillboardSettings(**settings), "Shape"))
+
+
+def test_every_level_is_the_cloud_of_its_error():
+    mesh = sphere(16)
+    cloud = build(mesh, error=0.02, levels=3)
+    assert len(cloud.levels) > 1
+    for level in cloud.levels:
+        (alone,) = build(mesh, error=level.error / cloud.longest_side, levels=1).levels
+        assert level.quads.centers.tobytes() == alone.quads.centers.tobytes()
+        assert level.quads.owner.tobytes() == alone.quads.owner.tobytes()
+
+
+@pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
+def test_every_level_has_clearly_fewer_triangles_or_is_left_out_with_a_sentence(mesh):
+    cloud = build(mesh, error=0.01, levels=5)
+    for finer, coarser in pairwise(cloud.levels):
+        assert coarser.triangle_count <= 0.55 * finer.triangle_count
+    left_out = [note for note in cloud.notes if "is left out" in note]
+    assert len(cloud.levels) + len(left_out) == 5
+
+
+def test_a_level_of_a_box_that_saves_nothing_is_left_out():
+    cloud = build(box(), error=0.01, levels=2)
+    assert [level.triangle_count for level in cloud.levels] == [12]
+    assert cloud.notes == [
+        "The level with an error of 2% is left out: it has 12 triangles, more than 0.55 times the 12 of the level before."
+    ]
+
+
+def test_corners_give_way_where_that_keeps_a_level():
+    (level,) = build(sphere(8), error=0.05, levels=1).levels
+    square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    hexagon = np.array([[-1.0, -1.0], [0.5, -1.0], [1.0, -0.5], [1.0, 1.0], [-0.5, 1.0], [-1.0, 0.5]])
+    cut = replace(level, cutouts=[hexagon] * len(level.cutouts))
+    count = len(level.cutouts)
+    assert cut.triangle_count == 4 * count
+    fewer = limit_triangles(cut, 3 * count)
+    assert 3 * count - 2 < fewer.triangle_count <= 3 * count
+    kept = [index for index, cutout in enumerate(fewer.cutouts) if len(cutout) == 6]
+    assert min(level.quads.areas[kept]) >= max(np.delete(level.quads.areas, kept)), "small quads become rectangles first"
+    assert all(np.array_equal(cutout, square) for index, cutout in enumerate(fewer.cutouts) if index not in kept)
+    assert limit_triangles(cut, count) is cut, "two triangles a quad are the least"
+    heavier = replace(cut, cutouts=[hexagon[:, [1, 0]][::-1]] * count * 4)
+    assert [len(each.cutouts) for each in keep_lighter_levels([heavier, cut], 1.0)[0]] == [4 * count, count]
+
+
+def test_a_cloud_that_is_no_lighter_than_its_source_proposes_an_error():
+    mesh = bumpy_sphere(8)
+    cloud = build(mesh, error=0.01, levels=1)
+    (note,) = cloud.notes
+    assert note.startswith('The cloud of "Shape" has') and "its source 224: an error of about" in note
+    proposed = float(note.split("about ")[1].split("%")[0]) / 100.0
+    assert proposed > 0.01
+    assert build(mesh, error=proposed, levels=1).levels[0].triangle_count <= 1.25 * len(mesh.triangles)
+    assert "no error would make it lighter" in build(box(cuts=1), error=0.01, levels=1).notes[0]
+    assert build(sphere(12), error=0.1, levels=1).notes == []
+
+
+def test_a_lighter_level_is_proposed_before_an_estimate():
+    levels = build(sphere(16), error=0.02, levels=2).levels
+    sentence = describe_weight(levels, 2.0, levels[0].triangle_count, lambda _: 1e9, "Shape")
+    assert f"an error of about {levels[1].error / 2.0:.2%}".replace(".00", "") in sentence
+
+
+def test_a_corner_is_cut_only_where_it_saves_sixteen_pixels():
+    """The smallest rectangle around a right triangle lies along its hypotenuse; half of it, two corners, is empty."""
+    triangle = TriangleMesh(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.array([[0, 1, 2]], np.int32))
+    assert build(triangle, error=0.01, levels=1).levels[0].triangle_count == 4
+    assert build(triangle, error=0.2, levels=1).levels[0].triangle_count == 2
+
+
 @pytest.mark.parametrize("method", ["clusters", "hough", pytest.param("decimate", marks=pytest.mark.exhaustive)])
 def test_level_does_not_depend_on_coarser_ones(method):
     mesh = box(cuts=2)
@@ -77,7 +152,7 @@ def test_level_does_not_depend_on_coarser_ones(method):
 def test_level_without_detail_is_one_quad():
     bumpy_sheet = sheet(8, lambda x, y: 0.04 * np.sin(9.0 * x) * np.cos(8.0 * y))
     cloud = run_to_end(build_cloud(bumpy_sheet, BillboardSettings(error=0.02, levels=3)))
-    assert len(cloud.levels[2].quads) == 1
+    assert len(cloud.levels[-1].quads) == 1
 
 
 @pytest.mark.parametrize("method", ["clusters", "hough", pytest.param("decimate", marks=pytest.mark.exhaustive)])

@@ -160,7 +160,7 @@ def test_removing_restores_material_and_properties(scene):
 
 def build_cloud(source, **settings):
     """Build a cloud with two levels from the new object `source`."""
-    bpy.ops.farfield.billboards_build(**{"levels": 2, "error": 6.0, "samples": 1, **settings})
+    bpy.ops.farfield.billboards_build(**{"levels": 2, "nested_levels": True, "error": 6.0, "samples": 1, **settings})
     return source, clouds_in(bpy.context.scene)[0]
 
 

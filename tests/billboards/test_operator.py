@@ -401,6 +401,14 @@ class TestPanel:
         _, drawn = self.draw()
         assert sorted(drawn) == sorted(item.name for item in describe(BillboardSettings, BuildOptions, CrossfadeSettings))
 
+    def test_levels_that_were_left_out_are_named(self):
+        cube()
+        build(nested_levels=False)
+        texts, _ = self.draw()
+        assert {"12", "Tris"} <= texts
+        shown = " ".join(text for text in texts if text)
+        assert "with an error of 10% is" in shown and 'The cloud of "Cube" has 12' in shown
+
     def test_buttons_follow_the_state(self):
         texts, _ = self.draw()
         assert "Select an object with a surface" in texts and "Cross-Fade Levels" not in texts

@@ -26,11 +26,13 @@ REPORT_KEYS = {
     "source_triangles",
     "dropped_triangles",
     "quads",
+    "triangles",
     "texels",
     "levels",
     "max_plane_distance",
     "faces_beyond_normal_bound",
     "uncovered_faces",
+    "notes",
     "skipped",
     "seconds",
     "peak_memory_mb",
@@ -62,7 +64,7 @@ def test_blend_output_with_report_and_invalid_input(cube):
     out, figures = cube.with_name("wolke Ω.blend"), cube.with_name("figures.json")
     outcome, missing, unknown = run_script(
         SCRIPT,
-        [cube, "--out", out, "--error", "10%", "--levels", "2", "--samples", "1", "--report", figures],
+        [cube, "--out", out, "--error", "10%", "--levels", "2", "--nested-levels", "--samples", "1", "--report", figures],
         [cube.with_name("nowhere.obj"), "--out", cube.with_name("out.blend")],
         [cube, "--out", "x", "--magic"],
     )
@@ -76,8 +78,10 @@ def test_blend_output_with_report_and_invalid_input(cube):
     assert set(report) == REPORT_KEYS
     assert report["source_triangles"] == 12 and report["dropped_triangles"] == 0 and report["uncovered_faces"] == 0
     assert report["quads"] == report["levels"][0]["quads"] == 6
+    assert report["triangles"] == report["levels"][0]["triangles"] == 12
+    assert report["notes"] == ['The cloud of "würfel 立方体" has 12 triangles, its source 12: no error would make it lighter.']
     assert report["max_plane_distance"] <= 1.0
-    assert [set(level) for level in report["levels"]] == [{"error", "quads", "texels", "switch_distance"}] * 2
+    assert [set(level) for level in report["levels"]] == [{"error", "quads", "triangles", "texels", "switch_distance"}] * 2
     assert report["levels"][0]["error"] == pytest.approx(0.2) and report["levels"][1]["error"] == pytest.approx(0.4)
     assert {"read", "capture", "objects", "write"} <= set(report["seconds"]) and report["peak_memory_mb"] > 10
 
@@ -98,7 +102,7 @@ def test_cross_fade_needs_camera_and_blend_output(cube):
     bpy.ops.wm.save_as_mainfile(filepath=str(with_camera))
     with pytest.raises(FileError, match=r"end in \.blend"):
         main(with_camera, "--out", cube.with_name("out.glb"), "--cross-fade")
-    flags = ("--levels", "2", "--error", "5%", "--samples", "1", "--cross-fade", "--fade-range", "50%")
+    flags = ("--levels", "2", "--nested-levels", "--error", "5%", "--samples", "1", "--cross-fade", "--fade-range", "50%")
     main(with_camera, "--out", out, *flags)
     bpy.ops.wm.open_mainfile(filepath=str(out))
     assert [level[CROSSFADE][2] for level in cloud_levels()] == [0.5, 0.5]
@@ -171,7 +175,7 @@ def test_point_cloud_input(cube):
 
 def test_obj_output_has_the_same_quads(cube):
     out = cube.with_name("cloud out.obj")
-    main(cube, "--out", out, "--error", "10%", "--levels", "2", "--samples", "1")
+    main(cube, "--out", out, "--error", "10%", "--levels", "2", "--nested-levels", "--samples", "1")
     corners = [sorted(tuple(np.round(level.matrix_basis @ v.co, 4)) for v in level.data.vertices) for level in cloud_levels()]
     names = {path.name for path in cube.parent.iterdir()}
     assert names == {cube.name, out.name, "cloud out.mtl", *(path.name for path in cube.parent.glob("cloud out_*_L[01].png"))}
@@ -199,7 +203,7 @@ def test_obj_output_has_the_same_quads(cube):
 @pytest.mark.parametrize("name", ["cloud.glb", "...glb"])  # Blender's exporter finds no extension in the second
 def test_glb_output_has_textures_and_properties(cube, name):
     out = cube.with_name(name)
-    main(cube, "--out", out, "--error", "10%", "--levels", "2", "--samples", "1")
+    main(cube, "--out", out, "--error", "10%", "--levels", "2", "--nested-levels", "--samples", "1")
     figures = [level["farfield_quads"] for level in cloud_levels()]
     before = {path.name for path in cube.parent.iterdir()}
     assert before == {cube.name, out.name}
@@ -299,7 +303,7 @@ def test_names_in_a_scene_choose_no_paths_and_break_no_lines(cube):
     bpy.data.objects[0].name = "../A/B\nnewmtl C"
     path, out = cube.with_name("names.blend"), cube.with_name("o\nut.obj")
     scene_files.save_scene(path)
-    main(path, "--out", out, "--error", "10%", "--levels", "2", "--samples", "1")
+    main(path, "--out", out, "--error", "10%", "--levels", "2", "--nested-levels", "--samples", "1")
     names = {item.name for item in cube.parent.iterdir()}
     pictures = {name for name in names if name.endswith(".png")}
     assert names == {cube.name, path.name, out.name, "o_ut.mtl"} | pictures and len(pictures) == 2

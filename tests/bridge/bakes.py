@@ -64,7 +64,8 @@ def build_cloud(source: bpy.types.Object, **settings: Any) -> SceneCloud:
         item.select_set(False)
     bpy.context.view_layer.objects.active = source
     source.select_set(True)
-    bpy.ops.farfield.billboards_build(**{"error": 10.0, "levels": 2, "samples": 1, "keep_original_visible": True, **settings})
+    coarse = {"error": 10.0, "levels": 2, "nested_levels": True, "samples": 1, "keep_original_visible": True}
+    bpy.ops.farfield.billboards_build(**(coarse | settings))
     return clouds_in(bpy.context.scene)[0]
 
 

@@ -2,7 +2,7 @@
 
 import bpy
 
-ROUGH = {"error": 5.0, "levels": 2, "textures": False}
+ROUGH = {"error": 5.0, "levels": 2, "nested_levels": True, "textures": False}
 
 
 def build(**arguments):

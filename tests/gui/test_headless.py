@@ -13,7 +13,7 @@ from lib import blender_window, environment
 
 pytestmark = [pytest.mark.gui, pytest.mark.usefixtures("empty_scene")]
 SCRIPT = environment.ROOT / "scripts" / "billboards.py"
-FLAGS = ["--error", "5%", "--levels", "2", "--samples", "1"]
+FLAGS = ["--error", "5%", "--levels", "2", "--nested-levels", "--samples", "1"]
 
 
 def run_in_blender(*arguments):

@@ -19,6 +19,7 @@ from .level_objects import CENTER
 
 CLOUD = "cloud"  # the KIND of levels
 FINGERPRINT = "farfield_source_fingerprint"  # Custom property of a cloud's collection, see `Source.fingerprint`.
+NOTES = "farfield_notes"  # Custom property of a cloud's collection: sentences about its levels, see `Cloud.notes`.
 CORNER_NORMALS = "custom_normal"  # Blender's built-in attribute of custom normals.
 DRAWN_OFFSETS, DRAWN = "farfield_drawn_offsets", "farfield_drawn"  # Custom properties of a level's mesh, see `cloud.Quads`.
 DEFAULT_CAMERA = Camera(np.zeros(3), 1920, math.radians(39.6))  # Blender's default, for scenes without a camera.
@@ -50,6 +51,8 @@ def create_cloud(
         level_object.hide_viewport = level_object.hide_render = index > 0
         collection.objects.link(level_object)
     collection[FINGERPRINT] = source.fingerprint
+    if cloud.notes:
+        collection[NOTES] = "\n".join(cloud.notes)
     collection_parent.children.link(collection)
     return collection
 

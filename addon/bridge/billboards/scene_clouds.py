@@ -41,6 +41,11 @@ class SceneCloud(LodSet):
         return self.is_editable and is_local and all(material.is_editable for material in materials)
 
     @property
+    def notes(self) -> list[str]:
+        """Sentences about levels that were left out, and about a cloud that is no lighter than its source."""
+        return str(self.collection.get(clouds.NOTES, "")).splitlines()
+
+    @property
     def missing_source_names(self) -> list[str]:
         """The stored names of the source objects that no longer exist."""
         return [name for name, source in find_sources(self.collection, self.index) if source is None]

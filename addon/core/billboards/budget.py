@@ -1,9 +1,12 @@
-"""Budgets: search for the error that meets a number of quads or megabytes of texture.
+"""Budgets: search for the error that meets a number of quads, of triangles or of megabytes of texture.
 
 Loose parts and connected surfaces, such as leaves and trunk, are two groups. Each gets a fraction of the budget and an error of its own. A
 group that cannot use up its fraction leaves the rest to the other; if a group needs more than its fraction, both use the same error. A
 level is the union of both groups and has the larger of the two errors, because it is indistinguishable from the source only from that
 error's distance on; all its texels have the size that follows from this error.
+
+Where not even the largest error meets the budget, the limits on normals and texture waste give way: the quads are then slabs along the six
+directions of the axes.
 """
 
 import math
@@ -17,6 +20,7 @@ from ..jobs.progress import Steps, subprogress
 from .atlas import MAX_TEXELS
 from .cloud import Level
 from .clustering.patches import Covering, merge_coverings
+from .clustering.slabs import MIN_SLABS, cover_with_slabs
 from .error_search import MAX_ERROR, MIN_FRACTION, Attempt, search_error
 from .estimate import BYTES_PER_TEXEL, estimate_levels, sample_primitives
 from .levels import LevelBuilder
@@ -30,65 +34,76 @@ QUADS_EXPONENT = 1.2  # The number of quads grows with this power of 1 / error, 
 TEXTURE_EXPONENT = 2.0  # The same for texels, which have two sides.
 MIN_TEXEL_LIMIT, TEXELS_PER_QUAD = 2**22, 2**16  # Limits of a texture with a budget of quads: a few more quads are not worth any texture.
 GROUP_PROGRESS = 0.3  # The search of one group takes this fraction of the allocation's progress; the second search takes the rest.
+MIN_SLAB_ERROR = 0.1  # Relative error of the result of a search, from which on slabs are tried.
+MAX_SLAB_RATIO = 2.0  # A search whose error is larger than this many times that of slabs has failed.
+MAX_SLAB_QUADS = 1024  # The first number of slabs for other budgets than quads.
 COARSE_LEVELS_PROGRESS = 0.2  # Levels above those that count for the budget take this fraction of the progress.
 
 
 @dataclass(frozen=True)
 class Budget:
-    """Either quads of the finest level or megabytes of texture of all levels; the other is 0."""
+    """Either quads or triangles of the finest level, or megabytes of texture of all levels; the others are 0."""
 
-    quads: int
-    megabytes: float
+    quads: int = 0
+    megabytes: float = 0.0
+    triangles: int = 0
 
     @property
     def limit(self) -> float:
         """Maximum usage, in the unit of `measure_usage`."""
-        return self.quads or self.megabytes
+        return self.quads or self.triangles or self.megabytes
 
     @property
     def exponent(self) -> float:
         """The usage is about proportional to the error to the power of -`exponent`."""
-        return QUADS_EXPONENT if self.quads else TEXTURE_EXPONENT
+        return TEXTURE_EXPONENT if self.megabytes else QUADS_EXPONENT
 
     @property
     def setting(self) -> tuple[str, str]:
         """Field name and label of the setting."""
-        return ("quads", "Quads") if self.quads else ("texture_mb", "Texture MB")
+        return next(item for item in BUDGETS if getattr(self, BUDGETS[item]))
 
     @property
     def max_texels(self) -> int:
         """The largest texture of a level. Ever smaller errors may add a last few quads while the texture grows without limit."""
-        return min(MAX_TEXELS, max(MIN_TEXEL_LIMIT, TEXELS_PER_QUAD * self.quads)) if self.quads else MAX_TEXELS
+        quads = self.quads or self.triangles // 2
+        return MAX_TEXELS if self.megabytes else min(MAX_TEXELS, max(MIN_TEXEL_LIMIT, TEXELS_PER_QUAD * quads))
 
     def count_measured_levels(self, levels: int) -> int:
         """Return how many of the `levels` of a cloud, from the finest on, count for the budget."""
-        return 1 if self.quads else levels
+        return levels if self.megabytes else 1
 
     def measure_usage(self, levels: Sequence[Level]) -> float:
-        """Return the quads of the first of `levels`, or the megabytes of all in Blender, including gutters and all maps."""
+        """Return the quads or triangles of the first of `levels`, or the megabytes of all in Blender, including gutters and all maps."""
+        if self.triangles:
+            return levels[0].triangle_count
         return len(levels[0].quads) if self.quads else texture_megabytes(sum(math.prod(level.atlas.size) for level in levels))
 
     def replace_in_settings(self, settings: BillboardSettings, limit: float) -> BillboardSettings:
         """Return `settings` with `limit`, positive, as the budget in the same unit."""
-        return replace(settings, quads=max(1, int(limit))) if self.quads else replace(settings, texture_mb=limit)
+        return replace(settings, **{self.setting[0]: limit if self.megabytes else max(1, int(limit))})
 
     def format_amount(self, amount: float) -> str:
         """Return `amount` with its unit for messages, rounded up."""
-        return f"{math.ceil(amount)} quads" if self.quads else f"{math.ceil(amount * 1000.0) / 1000.0:g} MB of texture"
+        if not self.megabytes:
+            return f"{math.ceil(amount)} {'quads' if self.quads else 'triangles'}"
+        return f"{math.ceil(amount * 1000.0) / 1000.0:g} MB of texture"
+
+
+BUDGETS = {("quads", "Quads"): "quads", ("triangles", "Triangles"): "triangles", ("texture_mb", "Texture MB"): "megabytes"}
 
 
 def read_budget(settings: BillboardSettings) -> Budget | None:
     """Return the budget of `settings`, or None if they use an error.
 
     Raises:
-        SettingsError: both quads and megabytes are set.
+        SettingsError: several budgets are set.
     """
-    if settings.quads and settings.texture_mb:
-        raise SettingsError(
-            f"Quads is {settings.quads} and Texture MB is {settings.texture_mb:g}; set only one budget and leave the other 0.",
-            ("quads", "texture_mb"),
-        )
-    return Budget(settings.quads, settings.texture_mb) if settings.quads or settings.texture_mb else None
+    given = {item: getattr(settings, item[0]) for item in BUDGETS if getattr(settings, item[0])}
+    if len(given) > 1:
+        values = " and ".join(f"{label} is {value:g}" for (_, label), value in given.items())
+        raise SettingsError(f"{values}; set only one budget and leave the other 0.", tuple(name for name, _ in given))
+    return next((Budget(**{BUDGETS[item]: value}) for item, value in given.items()), None)
 
 
 def texture_megabytes(texels: int) -> float:
@@ -135,7 +150,12 @@ def cover_within_budget(
     """
     search = _BudgetSearch(primitives, components, builder, budget)
     allocation = yield from subprogress(search.allocate(), 0.0, 1.0 - COARSE_LEVELS_PROGRESS)
-    usage = search.measure(allocation)
+    usage, error = search.measure(allocation), max_relative_error(allocation)
+    if usage > budget.limit or error > MIN_SLAB_ERROR:
+        slabs, slab_error, slab_usage = search.cover_with_slabs()
+        if slab_usage <= budget.limit and (usage > budget.limit or error > MAX_SLAB_RATIO * slab_error):
+            return [slabs] * builder.settings.levels, slab_error
+        usage = min(usage, slab_usage)
     if math.isinf(usage):
         raise SettingsError(
             f'"{name}" needs a texture of more than {budget.max_texels / 1e6:.1f} million texels even at the largest error of '
@@ -174,6 +194,11 @@ class _BudgetSearch:
     components: Components
     builder: LevelBuilder
     budget: Budget
+
+    @property
+    def measured_count(self) -> int:
+        """How many levels count for the budget."""
+        return self.budget.count_measured_levels(self.builder.settings.levels)
 
     def allocate(self) -> Steps[Allocation]:
         """Find one attempt per group that together meet the budget.
@@ -233,14 +258,14 @@ class _BudgetSearch:
         side = self.builder.longest_side
         settings = self.budget.replace_in_settings(self.builder.settings, limit)
         levels = estimate_levels(sample_primitives(group.primitives, side), settings)
-        expected = levels[0].quads if self.budget.quads else texture_megabytes(sum(level.texels for level in levels))
+        counts = {"quads": levels[0].quads, "triangles": levels[0].triangles}
+        expected = counts.get(self.budget.setting[0], texture_megabytes(sum(level.texels for level in levels)))
         return levels[0].error / side if MIN_FRACTION * limit <= expected <= limit else self.builder.settings.error
 
     def build_finest(self, group: BudgetGroup, error: float) -> Steps[list[Covering]]:
         """Build the coverings of `group` that count for the budget."""
-        count = self.budget.count_measured_levels(self.builder.settings.levels)
         area = self.reference_area(group)
-        return self.builder.build_coverings(group.primitives, group.components, error, count, reference_area=area)
+        return self.builder.build_coverings(group.primitives, group.components, error, self.measured_count, reference_area=area)
 
     def build_all_levels(self, group: BudgetGroup, attempt: Attempt) -> Steps[list[Covering]]:
         """Build the coverings above those of `attempt` and return all."""
@@ -254,6 +279,16 @@ class _BudgetSearch:
     def reference_area(self, group: BudgetGroup) -> float:
         """Return the area against which a quad of `group` is weighed: its fraction of the total, so that quads cost the same in both."""
         return max(group.fraction, MIN_AREA_FRACTION) * float(self.primitives.areas.sum())
+
+    def cover_with_slabs(self) -> tuple[Covering, float, float]:
+        """Return the finest covering with slabs that meets the budget, or the coarsest one, its relative error and its usage."""
+        count = max(int(self.budget.limit if self.budget.quads else MAX_SLAB_QUADS), MIN_SLABS)
+        while True:
+            covering, error = cover_with_slabs(self.primitives, self.builder.longest_side, count)
+            usage = self.measure_coverings(self.primitives, self.components, [covering] * self.measured_count, error)
+            if usage <= self.budget.limit or count <= MIN_SLABS:
+                return covering, error, usage
+            count = max(min(count - 1, int(count * self.budget.limit / usage)), MIN_SLABS)
 
     def measure(self, allocation: Allocation) -> float:
         """Return the usage of the groups in `allocation` together."""

@@ -7,7 +7,9 @@ from ..geometry.mesh import PointCloud, TriangleMesh, drop_degenerate, longest_s
 from ..jobs.progress import Progress, StageClock, Steps, subprogress
 from .budget import cover_within_budget, read_budget
 from .cloud import Cloud, Level, Quads
+from .estimate import estimate_level, sample_primitives
 from .levels import LevelBuilder
+from .lightness import describe_weight, keep_lighter_levels
 from .primitives import Primitives, drop_incomplete_points, find_components, from_mesh, from_points
 from .settings import BillboardSettings
 
@@ -40,9 +42,11 @@ def build_cloud(source: TriangleMesh | PointCloud, settings: BillboardSettings, 
         coverings, error = yield from subprogress(cover_within_budget(centered, components, builder, budget, name), 0.0, PACKING_START)
     yield Progress(PACKING_START, "Packing the atlas")
     levels = builder.build_levels(centered, components, coverings, error)
+    levels, notes = (levels, []) if settings.keeps_all_levels else keep_lighter_levels(levels, side)
+    notes += _describe_weight(centered, levels, side, settings, name)
     distance, beyond_normal_bound, uncovered = _measure(centered, levels, settings)
     levels = [_move_to_source(level, center, kept, total) for level in levels]
-    return Cloud(levels, total, total - len(kept), side, distance, beyond_normal_bound, uncovered, clock.seconds)
+    return Cloud(levels, total, total - len(kept), side, distance, beyond_normal_bound, uncovered, clock.seconds, notes)
 
 
 def prepare_primitives(source: TriangleMesh | PointCloud, settings: BillboardSettings, name: str) -> tuple[Primitives, np.ndarray, int]:
@@ -61,6 +65,15 @@ def _move_to_origin(primitives: Primitives) -> tuple[Primitives, np.ndarray]:
     positions = primitives.positions.reshape(-1, 3)
     center = 0.5 * (positions.min(axis=0) + positions.max(axis=0))
     return Primitives(primitives.points - center, primitives.corners, primitives.areas, primitives.normals), center
+
+
+def _describe_weight(primitives: Primitives, levels: list[Level], side: float, settings: BillboardSettings, name: str) -> list[str]:
+    """Return a sentence if the finest level has no fewer triangles than the source, with the error that would be lighter."""
+    count = len(primitives) * (primitives.corners.shape[1] - 2)
+    if levels[0].triangle_count < count:
+        return []
+    sample = sample_primitives(primitives, side)
+    return [describe_weight(levels, side, count, lambda error: estimate_level(sample, settings, error).triangles, name)]
 
 
 def _measure(primitives: Primitives, levels: list[Level], settings: BillboardSettings) -> tuple[float, int, int]:

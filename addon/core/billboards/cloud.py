@@ -82,6 +82,11 @@ class Level:
     solid: np.ndarray
 
     @property
+    def triangle_count(self) -> int:
+        """Number of triangles of the cutouts: a polygon of C corners has C - 2."""
+        return sum(len(cutout) - 2 for cutout in self.cutouts)
+
+    @property
     def texel_count(self) -> int:
         """Number of texels inside the quads. A quad cut to a triangle counts half of its rectangle."""
         sizes = self.atlas.rectangles[:, 2:].astype(np.int64).prod(axis=1)
@@ -102,6 +107,7 @@ class Cloud:
         faces_beyond_normal_bound: Number of faces of the finest level beyond the normal bound of their owner.
         uncovered_faces: Number of faces that no quad shows.
         seconds: Run time per stage.
+        notes: Sentences about levels that were left out, and about a cloud that is no lighter than its source.
     """
 
     levels: list[Level]
@@ -112,3 +118,4 @@ class Cloud:
     faces_beyond_normal_bound: int
     uncovered_faces: int
     seconds: dict[str, float] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)

@@ -19,7 +19,8 @@ MIN_EXPONENT, MAX_EXPONENT = 0.3, 3.0
 SATURATION_RATIO = 2.0  # An error smaller by this factor without more usage: even smaller errors would only enlarge the texture.
 MIN_BRACKET_STEPS = 0.1  # A bracket narrower than this many MIN_STEPs, on a logarithmic scale, is not searched.
 MIN_T, MAX_T = 0.15, 0.85  # Interpolation factors in a bracket: keep each try away from its ends, so that the bracket shrinks either way.
-MIN_ERROR, MAX_ERROR = next((item.minimum, item.maximum) for item in describe(BillboardSettings) if item.name == "error")
+MIN_ERROR = next(item.minimum for item in describe(BillboardSettings) if item.name == "error")
+MAX_ERROR = 0.5  # Half of the longest side: a plane through the center is not farther from any point.
 
 
 @dataclass(frozen=True)

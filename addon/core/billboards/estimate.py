@@ -1,4 +1,4 @@
-"""Estimates before a cloud is built: quads, texels and bytes of every level.
+"""Estimates before a cloud is built: quads, triangles, texels and bytes of every level.
 
 The cluster that would grow around a face f is guessed from the faces that one quad at f could hold. The whole surface then needs about
 the sum over all faces of area(f) / area(cluster of f) quads, because the faces of a cluster of area a contribute a / a = 1 together. The
@@ -12,7 +12,7 @@ import numpy as np
 
 from ..geometry.mesh import PointCloud, TriangleMesh, drop_degenerate, face_areas_and_normals, longest_side
 from ..geometry.transforms import frame_from_normal
-from ..settings import describe
+from .error_search import MAX_ERROR, MIN_ERROR
 from .primitives import Primitives, drop_incomplete_points
 from .settings import BillboardSettings
 
@@ -28,20 +28,25 @@ UNIFORM_RECTANGLE_FACTOR = 12.0  # Area of a uniformly filled rectangle over sqr
 class Calibration:
     """Relation between guessed clusters and the quads of a method, measured on a sphere, a head and four trees.
 
-    max_waste: of a guessed cluster, area of its rectangle over that of its faces. bounds_normals: the method bounds the angle between faces
-    and quads. quads_per_cluster: quads per guessed cluster. area_factor: area of the quads over the area of the guessed rectangles.
+    Attributes:
+        max_waste: Of a guessed cluster, area of its rectangle over that of its faces.
+        bounds_normals: Whether the method bounds the angle between faces and quads.
+        quads_per_cluster: Quads per guessed cluster.
+        triangles_per_quad: Triangles of the polygons that quads are cut to.
+        area_factor: Area of the quads over the area of the guessed rectangles.
     """
 
     max_waste: float
     bounds_normals: bool
     quads_per_cluster: float
+    triangles_per_quad: float
     area_factor: float
 
 
 CALIBRATIONS = {
-    "clusters": Calibration(max_waste=1.05, bounds_normals=True, quads_per_cluster=1.55, area_factor=1.6),
-    "hough": Calibration(max_waste=30.0, bounds_normals=False, quads_per_cluster=1.3, area_factor=2.0),
-    "decimate": Calibration(max_waste=1.05, bounds_normals=True, quads_per_cluster=3.4, area_factor=2.0),
+    "clusters": Calibration(max_waste=1.05, bounds_normals=True, quads_per_cluster=1.55, triangles_per_quad=2.1, area_factor=1.6),
+    "hough": Calibration(max_waste=30.0, bounds_normals=False, quads_per_cluster=1.3, triangles_per_quad=2.3, area_factor=2.0),
+    "decimate": Calibration(max_waste=1.05, bounds_normals=True, quads_per_cluster=3.4, triangles_per_quad=1.2, area_factor=2.0),
 }
 
 
@@ -72,10 +77,19 @@ class SurfaceSample:
 
 @dataclass(frozen=True)
 class LevelEstimate:
-    """Estimate of one level. error is a length in scene units; bytes is the size of all its textures."""
+    """Estimate of one level.
+
+    Attributes:
+        error: A length in scene units.
+        quads: Number of quads.
+        triangles: Number of triangles of the polygons that they are cut to.
+        texels: Number of texels inside the quads.
+        bytes: Size of all textures.
+    """
 
     error: float
     quads: int
+    triangles: int
     texels: int
     bytes: int
 
@@ -143,17 +157,18 @@ def _draw_by_area(areas: np.ndarray, count: int, generator: np.random.Generator)
 def estimate_levels(sample: SurfaceSample, settings: BillboardSettings) -> list[LevelEstimate]:
     """Estimate all levels, finest first. Quads and texels are within about a factor of two of the result."""
     error = _resolve_error(sample, settings)
-    return [_estimate_level(sample, settings, error * 2.0**index) for index in range(settings.levels)]
+    return [estimate_level(sample, settings, error * 2.0**index) for index in range(settings.levels)]
 
 
-def _estimate_level(sample: SurfaceSample, settings: BillboardSettings, relative_error: float) -> LevelEstimate:
-    """Estimate one level."""
+def estimate_level(sample: SurfaceSample, settings: BillboardSettings, relative_error: float) -> LevelEstimate:
+    """Estimate one level with `relative_error`, whatever the error and the budget of `settings`."""
     error = relative_error * sample.longest_side
     calibration = CALIBRATIONS[settings.method]
     clusters, waste = _estimate_clusters(sample, error, math.cos(settings.max_normal_deviation), calibration)
     quads = min(max(round(calibration.quads_per_cluster * clusters), 1), sample.face_count)
     texels = max(round(calibration.area_factor * waste * sample.total_area / (error * settings.texel_size) ** 2), quads)
-    return LevelEstimate(error, quads, texels, texels * BYTES_PER_TEXEL if settings.textures else 0)
+    triangles = round(calibration.triangles_per_quad * quads)
+    return LevelEstimate(error, quads, triangles, texels, texels * BYTES_PER_TEXEL if settings.textures else 0)
 
 
 def _estimate_clusters(sample: SurfaceSample, error: float, min_cosine: float, calibration: Calibration) -> tuple[float, float]:
@@ -193,15 +208,15 @@ def _rectangle_areas(areas: np.ndarray, cluster_areas: np.ndarray, positions: np
 
 def _resolve_error(sample: SurfaceSample, settings: BillboardSettings) -> float:
     """Return the relative error of the settings, or the smallest one within their budget of quads or megabytes."""
-    if not settings.quads and not settings.texture_mb:
+    if not settings.quads and not settings.triangles and not settings.texture_mb:
         return settings.error
-    limits = next(item for item in describe(BillboardSettings) if item.name == "error")
-    low, high = limits.minimum, limits.maximum
-    count = settings.levels if settings.texture_mb else 1  # The quads are those of the finest level.
+    low, high = MIN_ERROR, MAX_ERROR
+    count = settings.levels if settings.texture_mb else 1  # Quads and triangles are those of the finest level.
     for _ in range(BISECTION_STEPS):
         candidate = math.sqrt(low * high)
-        levels = [_estimate_level(sample, settings, candidate * 2.0**index) for index in range(count)]
-        has_too_many_quads = settings.quads and levels[0].quads > settings.quads
+        levels = [estimate_level(sample, settings, candidate * 2.0**index) for index in range(count)]
+        counted = (levels[0].quads, settings.quads), (levels[0].triangles, settings.triangles)
+        has_too_many = any(limit and number > limit for number, limit in counted)
         is_too_large = settings.texture_mb and sum(level.texels for level in levels) * BYTES_PER_TEXEL > settings.texture_mb * 1e6
-        low, high = (candidate, high) if has_too_many_quads or is_too_large else (low, candidate)
+        low, high = (candidate, high) if has_too_many or is_too_large else (low, candidate)
     return high

@@ -21,10 +21,11 @@ METHODS = {
 }
 OVERLAP_MARGIN = 0.25  # In errors: quads of a convex surface that meet at 30 degrees leave a gap of about this width.
 ROUNDING_MARGIN = 1e-4  # In errors: reserve for rounding to single precision in Blender and in files.
+MAX_BACK_FRACTION = 0.25  # Of the area that a quad shows: where more faces away, it shows both sides of a plate.
 MIN_HALF_SIZE = 1e-12  # In texels: replaces the half size 0 of a quad without height, a divisor.
 CLIP_TOLERANCE = 1e-6  # In half sizes: primitives that exceed the rectangle by less are not clipped.
 CORNER_CUT_DIRECTIONS = np.linspace(0.1, 0.9, 17)  # x component of the normal of a corner cut; its y component is the rest to 1.
-MIN_CUT_FRACTION = 0.005  # Cuts that save less of the rectangle's area are not made.
+MIN_CUT_AREA = 16.0  # In squared errors, that is pixels at the switch distance: what a cut must save to pay for its triangle.
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ class LevelBuilder:
         """
         with self.clock.stage("pack"):
             return [
-                _build_level(primitives, covering, components, error, self.settings.texel_size * error, self.settings.cutout_corners)
+                _build_level(primitives, covering, components, error, self.settings)
                 for covering, error in zip(coverings, self._errors(relative_error, len(coverings)), strict=True)
             ]
 
@@ -71,21 +72,34 @@ class LevelBuilder:
         return [relative_error * self.longest_side * 2.0**level for level in range(count)]
 
 
-def _build_level(
-    primitives: Primitives, covering: Covering, components: Components, error: float, texel_size: float, max_corners: int
-) -> Level:
+def _build_level(primitives: Primitives, covering: Covering, components: Components, error: float, settings: BillboardSettings) -> Level:
     """Build quads, atlas and cutouts of one level."""
     shared = find_shared_surfaces(components, covering.owner)
     covering = extend_overlaps(primitives, covering, shared, OVERLAP_MARGIN * error)
     quads = to_quads(covering.patches, covering.owner)
-    cutouts = [_compute_cutout(primitives, patch, texel_size, max_corners) for patch in covering.patches]
+    texel_size = settings.texel_size * error
+    cutouts = [
+        _compute_cutout(primitives, patch, texel_size, settings.cutout_corners, MIN_CUT_AREA * error**2) for patch in covering.patches
+    ]
     joined = np.array([patch.outline is None and bool(shared[patch.drawn].any()) for patch in covering.patches])
-    solid = np.array([bool(components.solid[patch.drawn].all()) for patch in covering.patches])
+    solid = np.array([_hides_back(primitives, components, patch, settings) for patch in covering.patches])
     return Level(error, texel_size, quads, pack(quads.half_sizes, texel_size), cutouts, joined, solid)
 
 
-def _compute_cutout(primitives: Primitives, patch: Patch, texel_size: float, max_corners: int) -> np.ndarray:
-    """Compute the polygon that `patch` is cut to, in -1..1 of its half sizes, with a margin of half a texel around the drawn primitives."""
+def _hides_back(primitives: Primitives, components: Components, patch: Patch, settings: BillboardSettings) -> bool:
+    """Return whether `patch` shows only the outside of solids. One that shows both sides of a thin plate does not."""
+    if not components.solid[patch.drawn].all():
+        return False
+    areas = primitives.areas[patch.drawn]
+    is_behind = primitives.normals[patch.drawn] @ patch.normal < 0.0
+    return settings.method != "clusters" or bool(areas[is_behind].sum() <= MAX_BACK_FRACTION * areas.sum())
+
+
+def _compute_cutout(primitives: Primitives, patch: Patch, texel_size: float, max_corners: int, min_area: float) -> np.ndarray:
+    """Compute the polygon that `patch` is cut to, in -1..1 of its half sizes, with a margin of half a texel around the drawn primitives.
+
+    min_area: that a cut must save, in squared units of length.
+    """
     if patch.outline is not None:
         return patch.outline
     center = patch.rectangle.reshape(2, 2).mean(axis=1)
@@ -96,16 +110,18 @@ def _compute_cutout(primitives: Primitives, patch: Patch, texel_size: float, max
     # The rectangle clips these primitives: the corners of their clipped bounding boxes contain the visible part.
     boxes = np.clip(bounds[clipped], -1.0, 1.0)
     corners = np.stack([boxes[:, 0][:, [0, 1, 1, 0]], boxes[:, 1][:, [0, 0, 1, 1]]], axis=2).reshape(-1, 2)
-    return cut_corners(np.clip(np.concatenate([local, corners]), -1.0, 1.0), 0.5 * texel_size / half_size, max_corners)
+    points = np.clip(np.concatenate([local, corners]), -1.0, 1.0)
+    return cut_corners(points, 0.5 * texel_size / half_size, max_corners, min_area / float(half_size.prod()))
 
 
-def cut_corners(points: np.ndarray, margin: np.ndarray, max_corners: int) -> np.ndarray:
+def cut_corners(points: np.ndarray, margin: np.ndarray, max_corners: int, min_area: float = 0.0) -> np.ndarray:
     """Compute a convex polygon around `points`: the square -1..1 with the corners cut off that save most area.
 
     Args:
         points: (N, 2) in -1..1.
         margin: (2,) distance along each axis that the cuts keep from the points, for the texture filter.
         max_corners: 4 to 8.
+        min_area: Smaller corners stay: a cut costs one triangle.
 
     Returns:
         (C, 2) float64, counter-clockwise, C at most `max_corners`.
@@ -121,7 +137,7 @@ def cut_corners(points: np.ndarray, margin: np.ndarray, max_corners: int) -> np.
     cuts.sort(key=lambda cut: -cut[0])
     polygon = square
     for saved_area, direction, limit in cuts[: max_corners - 4]:
-        if saved_area > 4.0 * MIN_CUT_FRACTION:
+        if saved_area > min_area:
             polygon = _clip(polygon, direction, limit)
     return polygon
 

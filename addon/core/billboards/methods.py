@@ -12,6 +12,7 @@ import numpy as np
 from ..geometry.proximity import nearest_pairs
 from ..geometry.transforms import frames_from_normals
 from ..jobs.progress import Progress, StageClock, Steps, subprogress
+from .clustering.absorption import absorb_small_patches, complete_regions
 from .clustering.cover import CoverSettings, cover_with_rectangles
 from .clustering.hierarchy import ClusterBounds, merge_in_rounds
 from .clustering.patches import Covering, Patch, assign_groups, best_facing_patch, group_by_label, merge_coverings
@@ -19,12 +20,13 @@ from .clustering.planes import PlaneBounds, Planes
 from .clustering.rectangles import fit_rectangle
 from .decimation.triangle_patches import build_triangle_patches, cover_flat_surfaces
 from .primitives import Components, Primitives
+from .scale_normals import at_scale
 from .settings import BillboardSettings
 
 REGION_NEIGHBORS = 12  # Per primitive, in the graph over which the region of a quad grows.
-QUAD_COST = 4.0  # Cost of one more quad, in mean areas of a cluster.
-MAX_COVER_ROUNDS = 4  # At the finest level.
-MAX_COARSE_COVER_ROUNDS = 2  # At other levels, which start from the quads of the finer one.
+QUAD_COST = 3.5  # Cost of one more quad, in mean areas of a cluster.
+MAX_COVER_ROUNDS = 4
+MAX_NESTED_COVER_ROUNDS = 2  # Of levels that start from the quads of the finer one.
 NEIGHBORS_FRACTION = 0.1  # The proximity graph takes this fraction of the progress bar of `cover_by_clustering`.
 UNASSIGNED_FRACTION = 0.1  # Clustering unassigned faces takes this fraction of the progress of a level of `cover_by_decimation`.
 
@@ -40,30 +42,38 @@ def cover_by_clustering(
 ) -> Steps[list[Covering]]:
     """Generalized hierarchical face clustering (section 4.3), then the fewest overlapping quads that cover all primitives.
 
-    The finest level determines ownership; a coarser quad owns whole clusters of the finer level, so levels nest. Loose parts and
-    connected surfaces, such as leaves and trunk, never share a quad.
+    Every level is clustered from the primitives, on its own. With *Nested Levels* a coarser level merges the clusters of the finer one
+    instead, and each of its quads owns whole clusters. Loose sheets and other surfaces, such as leaves and trunk, never share a
+    quad.
     """
     yield Progress(0.0, "Finding neighbors")
     with clock.stage("neighbors"):
         pairs, distances = primitives.proximity_graph
-        same_kind = components.loose[pairs[:, 0]] == components.loose[pairs[:, 1]]
+        same_kind = components.sheets[pairs[:, 0]] == components.sheets[pairs[:, 1]]
         pairs, distances = pairs[same_kind], distances[same_kind]
         near = pairs[nearest_pairs(pairs, distances, len(primitives), REGION_NEIGHBORS)] if len(pairs) else pairs
-    bounds = ClusterBounds(errors[0], settings.max_normal_deviation, settings.max_texture_waste)
     coverings = list(finished)
     for level, start, stop in _progress_spans(len(finished), len(errors), NEIGHBORS_FRACTION):
-        groups, fallback = _initial_groups(primitives, coverings)
-        merging = merge_in_rounds(primitives, groups, pairs, distances, bounds, level)
+        finer = coverings if settings.keeps_all_levels else []
+        with clock.stage("normals"):
+            scale = errors[level - len(finer)]
+            scaled = at_scale(primitives, settings.normal_scale * scale, scale)
+        groups, fallback = _initial_groups(scaled, finer)
+        bounds = ClusterBounds(errors[level - len(finer)], settings.max_normal_deviation, settings.max_texture_waste)
+        merging = merge_in_rounds(scaled, groups, pairs, distances, bounds, len(finer))
         with clock.stage("clusters"):
             labels = yield from subprogress(merging, start, 0.5 * (start + stop))
-        candidates = group_by_label(labels) + [patch.drawn for covering in coverings[-1:] for patch in covering.patches]
-        max_rounds = MAX_COVER_ROUNDS if level == 0 else MAX_COARSE_COVER_ROUNDS
+        candidates = group_by_label(labels) + [patch.drawn for covering in finer[-1:] for patch in covering.patches]
+        max_rounds = MAX_NESTED_COVER_ROUNDS if finer else MAX_COVER_ROUNDS
         quad_cost = QUAD_COST * (reference_area or float(primitives.areas.sum())) / (int(labels.max()) + 1)
         plane_bounds = PlaneBounds(errors[level], float(np.cos(settings.max_normal_deviation)))
-        steps = cover_with_rectangles(primitives, groups, fallback, near, candidates, CoverSettings(plane_bounds, quad_cost, max_rounds))
+        steps = cover_with_rectangles(scaled, groups, fallback, near, candidates, CoverSettings(plane_bounds, quad_cost, max_rounds))
         with clock.stage("cover"):
             patches = yield from subprogress(steps, 0.5 * (start + stop), stop)
-        owner = best_facing_patch(primitives, patches) if level == 0 else assign_groups(primitives, patches, groups)
+            if settings.normal_scale > 0.0:
+                patches = absorb_small_patches(scaled, components.sheets, patches, errors[level])
+                patches = complete_regions(primitives, components.sheets, patches, errors[level])
+        owner = assign_groups(scaled, patches, groups) if finer else best_facing_patch(scaled, patches)
         coverings.append(Covering(patches, owner))
     return coverings
 
@@ -80,7 +90,8 @@ def _initial_groups(primitives: Primitives, coverings: list[Covering]) -> tuple[
     These are the clusters of the finer level with the planes of their owners, or single primitives for the finest level.
     """
     if not coverings:
-        offsets = np.einsum("pi,pi->p", primitives.normals, primitives.positions[:, 0])
+        heights = np.einsum("pci,pi->pc", primitives.positions, primitives.normals)
+        offsets = 0.5 * (heights.min(axis=1) + heights.max(axis=1))
         return np.arange(len(primitives), dtype=np.int32), Planes(primitives.normals, offsets)
     owners, groups = np.unique(coverings[-1].owner, return_inverse=True)
     patches = [coverings[-1].patches[index] for index in owners]

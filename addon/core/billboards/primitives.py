@@ -106,6 +106,11 @@ class Components:
     solid: np.ndarray
     loose: np.ndarray
 
+    @property
+    def sheets(self) -> np.ndarray:
+        """(P,) bool: loose sheets, such as leaves. They share no quad with other surfaces, while bolts may with what they sit on."""
+        return self.loose & ~self.solid
+
     def subset(self, indices: np.ndarray) -> "Components":
         """Return the entries of the primitives `indices` (K,). Labels do not change."""
         return Components(self.labels[indices], self.solid[indices], self.loose[indices])
@@ -128,11 +133,11 @@ def find_shared_surfaces(components: Components, owner: np.ndarray) -> np.ndarra
         owner: (P,) int32 quad that owns each primitive.
 
     Returns:
-        (P,) bool: the primitive belongs to such a surface. False for loose parts.
+        (P,) bool: the primitive belongs to such a surface. False for loose sheets.
     """
     labels = components.labels
     min_owner = np.full(int(labels.max()) + 1, np.iinfo(np.int32).max)
     max_owner = np.full(len(min_owner), -1)
     np.minimum.at(min_owner, labels, owner)
     np.maximum.at(max_owner, labels, owner)
-    return (min_owner < max_owner)[labels] & ~components.loose
+    return (min_owner < max_owner)[labels] & ~components.sheets

@@ -54,10 +54,18 @@ class BillboardSettings(Settings):
         minimum=1e-4,
         maximum=0.25,
         unit=Unit.FRACTION,
-        used_if={"quads": False, "texture_mb": False},
+        used_if={"quads": False, "triangles": False, "texture_mb": False},
     )
     levels: int = setting(3, "Number of levels of detail; the error doubles per level", minimum=1, maximum=8)
+    nested_levels: bool = in_detail(
+        False,
+        "Let quads of a coarser level replace whole quads of the finer one, for streaming. Such levels have more quads; none is left out",
+        used_if={"method": ("clusters",)},
+    )
     quads: int = in_detail(0, "Target number of quads of the finest level. Overrides Error; 0 disables", minimum=0, maximum=100_000)
+    triangles: int = in_detail(
+        0, "Target number of triangles of the finest level. Overrides Error; 0 disables", minimum=0, maximum=1_000_000
+    )
     texture_mb: float = in_detail(0.0, "Target texture memory of all levels. Overrides Error; 0 disables", minimum=0.0, maximum=65_536.0)
     max_normal_deviation: float = in_detail(
         math.radians(60.0),
@@ -66,6 +74,14 @@ class BillboardSettings(Settings):
         maximum=math.radians(90.0),
         unit=Unit.ANGLE,
         panel_label="Max Angle",
+    )
+    normal_scale: float = in_detail(
+        0.25,
+        "Radius around a face, relative to the error, in which the surface decides its normal: smaller bolts, grooves and noise need "
+        "no quads. 0 takes each face's own",
+        minimum=0.0,
+        maximum=8.0,
+        used_if={"method": ("clusters",)},
     )
     max_texture_waste: float = in_detail(
         8.0,
@@ -89,3 +105,8 @@ class BillboardSettings(Settings):
     textures: bool = setting(True, "Capture textures from the materials with Cycles")
     samples: int = in_textures(16, "Cycles samples per texel of the captured textures", minimum=1, maximum=4096, used_if={"textures": True})
     seed: int = setting(0, "Seed of the random choices", minimum=0, maximum=2**31 - 1, group="Advanced")
+
+    @property
+    def keeps_all_levels(self) -> bool:
+        """Whether levels nest, so that none may be left out."""
+        return self.nested_levels and self.method == "clusters"

@@ -128,6 +128,7 @@ def _sum(levels: tuple[LevelEstimate, ...]) -> LevelEstimate:
     return LevelEstimate(
         error=max(level.error for level in levels),
         quads=sum(level.quads for level in levels),
+        triangles=sum(level.triangles for level in levels),
         texels=sum(level.texels for level in levels),
         bytes=sum(level.bytes for level in levels),
     )

@@ -128,13 +128,20 @@ class BillboardJob:
                         cloud.activate(bpy.context)
 
     def _summary(self) -> str:
-        figures = [f'"{name}" ({", ".join(str(len(level.quads)) for level in cloud.levels)} quads)' for name, cloud in self.built_clouds]
+        figures = [f'"{name}" ({_describe_levels(cloud)})' for name, cloud in self.built_clouds]
+        notes = "".join(f" {note}" for _, cloud in self.built_clouds for note in cloud.notes)
         linked = f" {linked_sources_message(self.linked_sources)}" if self.linked_sources else ""
         hidden = f" Hidden: {', '.join(self.hidden_clouds)}." if self.hidden_clouds else ""
         skipped = f" Skipped: {'; '.join(self.skipped)}." if self.skipped else ""
         read = {(instance.name, id(instance.mesh)): instance for source in self.sources for instance in source.instances}.values()
         rounded = "".join(f" {text}" for item in read if (text := describe_coarseness(item.mesh.vertices, f'"{item.name}"', "it")))
-        return f"Built {', '.join(figures)}.{hidden}{linked}{rounded}{skipped}"
+        return f"Built {', '.join(figures)}.{notes}{hidden}{linked}{rounded}{skipped}"
+
+
+def _describe_levels(cloud: Cloud) -> str:
+    """Return the numbers of quads of all levels, and those of triangles."""
+    quads, triangles = ([str(len(level.quads)) for level in cloud.levels], [str(level.triangle_count) for level in cloud.levels])
+    return f"{', '.join(quads)} quads; {', '.join(triangles)} triangles"
 
 
 def prepare_job(
