@@ -31,7 +31,13 @@ MAY_IMPORT = {  # the layers, lowest first
     "registration": {"panels", "operators", "bridge", "compat", "core"},
 }
 TOOLS = {"billboards", "btf", "unwrap", "photos", "restore", "texmesh", "packages", "bdam", "clipbox"}
-TOOLS_MAY_IMPORT = {"photos": {"restore", "unwrap"}, "btf": {"billboards"}, "packages": {"texmesh"}, "texmesh": {"billboards"}}
+TOOLS_MAY_IMPORT = {
+    "photos": {"restore", "unwrap"},
+    "btf": {"billboards"},
+    "packages": {"texmesh"},
+    "texmesh": {"billboards"},
+    "billboards": {"texmesh"},
+}
 LAST_NETS = {  # may catch Exception
     *("addon/operators/error_reports.py", "addon/operators/long_work.py", "scripts/lib/command_line.py"),
     *("addon/operators/follow_handlers.py", "addon/operators/view_following.py"),

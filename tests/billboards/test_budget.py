@@ -90,7 +90,7 @@ def test_default_is_no_budget():
 
 
 def test_larger_budgets_give_more_quads_and_smaller_errors():
-    clouds = [(budget, build_test_cloud(shapes.bumpy_sphere(6), quads=budget, levels=1)) for budget in (12, 30)]
+    clouds = [(budget, build_test_cloud(shapes.bumpy_sphere(6), quads=budget, levels=1, solid_parts="quads")) for budget in (12, 30)]
     for budget, cloud in clouds:
         assert 0.75 * budget <= len(cloud.levels[0].quads) <= budget
         assert cloud.max_plane_distance <= 1.0 and cloud.uncovered_faces == 0
@@ -166,7 +166,7 @@ def test_more_quads_than_a_small_mesh_needs_do_not_fill_the_memory():
     """A texture of 12104 x 14008 texels gave the last of 32 faces a quad of its own."""
     sheet = shapes.sheet(4)
     vertices = np.column_stack([sheet.vertices[:, :2], np.random.default_rng(1).uniform(-0.08, 0.08, len(sheet.vertices))])
-    level = build_test_cloud(TriangleMesh(vertices, sheet.triangles), quads=35, levels=1, loose_fraction=1.0).levels[0]
+    level = build_test_cloud(TriangleMesh(vertices, sheet.triangles), quads=35, levels=1, loose_fraction=1.0, solid_parts="quads").levels[0]
     assert len(level.quads) >= 0.8 * len(sheet.triangles)
     assert math.prod(level.atlas.size) <= Budget(35, 0.0).max_texels < MAX_TEXELS
 

@@ -18,7 +18,7 @@ UP = [0.0, 0.0, 1.0]
 
 
 def build_test_cloud(source: TriangleMesh | PointCloud, **settings) -> Cloud:
-    return run_to_end(build_cloud(source, BillboardSettings(**({"levels": 1, "error": 0.04} | settings)), "Shape"))
+    return run_to_end(build_cloud(source, BillboardSettings(**({"levels": 1, "error": 0.04, "solid_parts": "quads"} | settings)), "Shape"))
 
 
 def drawn_pairs(level: Level) -> tuple[np.ndarray, np.ndarray]:

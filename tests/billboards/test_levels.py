@@ -68,7 +68,7 @@ def test_owners_are_existing_quads(nested):
 
 
 def build(mesh: TriangleMesh, **settings) -> Cloud:
-    return run_to_end(build_cloud(mesh, BillboardSettings(**settings), "Shape"))
+    return run_to_end(build_cloud(mesh, BillboardSettings(**({"solid_parts": "quads"} | settings)), "Shape"))
 
 
 def test_every_level_is_the_cloud_of_its_error():
@@ -111,7 +111,7 @@ def test_corners_give_way_where_that_keeps_a_level():
     assert min(level.quads.areas[kept]) >= max(np.delete(level.quads.areas, kept)), "small quads become rectangles first"
     assert all(np.array_equal(cutout, square) for index, cutout in enumerate(fewer.cutouts) if index not in kept)
     assert limit_triangles(cut, count) is cut, "two triangles a quad are the least"
-    heavier = replace(cut, cutouts=[hexagon[:, [1, 0]][::-1]] * count * 4)
+    heavier = replace(cut, cutouts=[hexagon[:, [1, 0]][::-1]] * count * 4, charts=[None] * count * 4)
     assert [len(each.cutouts) for each in keep_lighter_levels([heavier, cut], 1.0)[0]] == [4 * count, count]
 
 

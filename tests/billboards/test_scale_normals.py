@@ -31,7 +31,7 @@ def studded_plate(size=0.02):
 
 
 def build(mesh, **settings):
-    return run_to_end(build_cloud(mesh, BillboardSettings(**({"levels": 1} | settings)), "Shape"))
+    return run_to_end(build_cloud(mesh, BillboardSettings(**({"levels": 1, "solid_parts": "quads"} | settings)), "Shape"))
 
 
 def test_a_radius_of_zero_keeps_the_normals():

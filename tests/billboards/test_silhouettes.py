@@ -20,7 +20,7 @@ def fresh_scene():
 
 
 def build_level(source, error: float):
-    return run_to_end(build_cloud(source.mesh, BillboardSettings(error=error, levels=1))).levels[0]
+    return run_to_end(build_cloud(source.mesh, BillboardSettings(error=error, levels=1, solid_parts="quads"))).levels[0]
 
 
 def fill_rectangles(level, inset: int) -> np.ndarray:

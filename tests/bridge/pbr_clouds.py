@@ -41,7 +41,9 @@ def cloud_of_directions(mesh: TriangleMesh, directions: np.ndarray, texel: float
     error = max(float(heights.max()), 1e-3 * longest_side(mesh.vertices))
     square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     flags = np.full(len(quads), joined)
-    level = Level(error, texel, quads, _shelf(half_sizes, texel), [square] * len(quads), joined=flags, solid=flags)
+    level = Level(
+        error, texel, quads, _shelf(half_sizes, texel), [square] * len(quads), joined=flags, solid=flags, charts=[None] * len(quads)
+    )
     return Cloud([level], len(mesh.triangles), 0, longest_side(mesh.vertices), 1.0, 0, 0)
 
 

@@ -63,8 +63,9 @@ def capture_textures(source: Source, cloud: Cloud, settings: BillboardSettings) 
                     work.scene.cycles.samples = _samples(channel, settings)
                     image = work.render()
                     renders[side, channel] = image if side == "front" else image[:, ::-1]
-        continuation = surface_continuation.find_texels(level, [renders[side, "color"][..., 3] for side in SIDES])
-        maps = (compute_maps(*(renders[side, channel] for channel in CHANNELS), level, continuation) for side in SIDES)
+        alphas = [renders[side, "color"][..., 3] for side in SIDES]
+        masks = surface_continuation.find_texels(level, alphas), surface_continuation.find_uncovered(level, alphas)
+        maps = (compute_maps(*(renders[side, channel] for channel in CHANNELS), level, *masks) for side in SIDES)
         textures.append(LevelTextures(*maps))
     return textures
 

@@ -8,14 +8,14 @@ import numpy as np
 from ...core.billboards.cloud import Cloud, Level
 from ...core.geometry.cameras import Camera
 from ..cameras import read_scene_camera
-from ..geometry.mesh_arrays import read_positions, write_attribute, write_geometry
+from ..geometry.mesh_arrays import read_positions, write_attribute, write_geometry, write_integers
 from ..geometry.meshes import Source
 from ..imaging.images import packed_bytes
 from ..lod_sets import KIND
 from .atlas_meshes import compute_placement, compute_uvs
 from .cloud_materials import JOINED_ATTRIBUTE, SOLID_ATTRIBUTE, create_gray_material
 from .level_maps import LevelTextures, PbrMaps, compute_corner_normals, create_textured_material
-from .level_objects import CENTER
+from .level_objects import CENTER, QUAD_ATTRIBUTE
 
 CLOUD = "cloud"  # the KIND of levels
 FINGERPRINT = "farfield_source_fingerprint"  # Custom property of a cloud's collection, see `Source.fingerprint`.
@@ -87,19 +87,30 @@ def _write_properties(level_object: bpy.types.Object, index: int, level: Level, 
 def _create_mesh(name: str, level: Level, maps: PbrMaps | None, origin: np.ndarray) -> bpy.types.Mesh:
     """Create the quads of `level`, cut to their polygons, with UVs and corner normals fitted to `maps`; vertices relative to `origin`."""
     quads, placement = level.quads, compute_placement(level)
-    positions, uvs, normals = [], [], []
-    for quad, cutout in enumerate(level.cutouts):
-        local = cutout * quads.half_sizes[quad]
-        positions.append(quads.centers[quad] - origin + local @ quads.frames[quad, :2])
+    positions, uvs, normals, faces = [], [], [], []
+    for quad, (cutout, chart) in enumerate(zip(level.cutouts, level.charts, strict=True)):
+        if chart is not None:
+            cutout = level.to_cutout(quad, chart.vertices)
+            positions.append(chart.vertices - origin)
+            normals.append(chart.normals)
+            faces.append(chart.triangles)
+        else:
+            positions.append(quads.centers[quad] - origin + (cutout * quads.half_sizes[quad]) @ quads.frames[quad, :2])
+            normals.append(None if maps is None else compute_corner_normals(level, maps, quad, cutout))
+            faces.append(np.arange(len(cutout))[None])
         uvs.append(compute_uvs(level, placement, quad, cutout))
-        if maps is not None:
-            normals.append(compute_corner_normals(level, maps, quad, cutout))
-    corners = np.array([len(cutout) for cutout in level.cutouts])
+    first = np.cumsum([0] + [len(vertices) for vertices in positions])
+    loops = np.concatenate([(polygons + start).ravel() for polygons, start in zip(faces, first[:-1], strict=True)])
+    face_counts = [len(polygons) for polygons in faces]
+    corners = np.repeat([polygons.shape[1] for polygons in faces], face_counts)
     mesh = bpy.data.meshes.new(name)
-    write_geometry(mesh, np.concatenate(positions), np.arange(corners.sum()), np.cumsum(corners) - corners)
+    write_geometry(mesh, np.concatenate(positions), loops, np.cumsum(corners) - corners)
     if maps is not None:
         write_attribute(mesh, CORNER_NORMALS, "POINT", np.concatenate(normals))
+    quad_of_face = np.repeat(np.arange(len(faces)), face_counts)
     for attribute, flags in ((SOLID_ATTRIBUTE, level.solid), (JOINED_ATTRIBUTE, level.joined)):
-        write_attribute(mesh, attribute, "FACE", flags)
-    write_attribute(mesh, "UVMap", "CORNER", np.concatenate(uvs))
+        write_attribute(mesh, attribute, "FACE", flags[quad_of_face])
+    write_attribute(mesh, "UVMap", "CORNER", np.concatenate(uvs)[loops])
+    if len(quad_of_face) > len(faces):
+        write_integers(mesh, QUAD_ATTRIBUTE, "FACE", quad_of_face)
     return mesh

@@ -1,24 +1,26 @@
 """Export of a cloud's levels for programs without Blender's nodes: color, alpha and normals on simple quads."""
 
 import os
+from itertools import pairwise
 from pathlib import Path
 
 import bpy
 import numpy as np
 
 from ...compat import enable_nodes
+from ...core.billboards.texels import Texels
 from ...core.errors import GeometryError
 from ...core.files.filenames import safe_filename, unique_filenames
 from ...core.files.outputs import OBJ_COMMENT
 from ...core.geometry.transforms import transform_points
 from ...core.imaging.images import dilate
 from ...core.messages import describe_lacking
-from ..geometry.mesh_arrays import read_positions, read_uvs, read_values
+from ..geometry.mesh_arrays import read_loop_vertices, read_positions, read_uvs, read_values, write_attribute
 from ..gltf_export import export_gltf, finite_properties
 from ..imaging.images import create_image, read_pixels
 from .cloud_materials import FRONT_COLOR, FRONT_NORMAL
 from .clouds import CORNER_NORMALS
-from .level_objects import labeled_image, pbr_image, read_level_texels
+from .level_objects import labeled_image, pbr_image, read_face_quads, read_level_texels
 
 GLB_OPTIONS = {"export_format": "GLB", "use_selection": True, "export_extras": True, "export_image_format": "AUTO"}
 FLAT_NORMAL = np.float32([0.0, 0.0, 1.0])  # In tangent space.
@@ -32,7 +34,7 @@ def write_obj(levels: list[bpy.types.Object], path: Path) -> None:
     """
     mtl = material_path(path)
     shapes, materials = [f"mtllib {mtl.name}"], []
-    first_vertex = 1  # Vertices are numbered from 1 through the whole file.
+    first_vertex = first_loop = 1  # Vertices and UVs are numbered from 1 through the whole file.
     names = unique_filenames([level.name.replace(" ", "_") for level in levels])  # Also one word each, without line breaks.
     for level, name in zip(levels, names, strict=True):
         materials += [f"newmtl {name}", "Kd 1 1 1", "Ks 0 0 0", "illum 1"]
@@ -41,8 +43,8 @@ def write_obj(levels: list[bpy.types.Object], path: Path) -> None:
             image_name = f"{mtl.stem}_{name}.png"
             path.with_name(image_name).write_bytes(image.packed_file.data)
             materials += [f"map_Kd {image_name}", f"map_d {image_name}"]
-        shapes += [f"o {name}", *_format_shape(level, name, first_vertex)]
-        first_vertex += len(level.data.vertices)
+        shapes += [f"o {name}", *_format_shape(level, name, first_vertex, first_loop)]
+        first_vertex, first_loop = first_vertex + len(level.data.vertices), first_loop + len(level.data.loops)
     mtl.write_text(OBJ_COMMENT + "\n".join(materials) + "\n", encoding="utf-8")
     path.write_text("\n".join(shapes) + "\n", encoding="utf-8")
 
@@ -118,7 +120,7 @@ def compute_tangent_normals(level: bpy.types.Object) -> np.ndarray | None:
     texels = read_level_texels(level)
     x, y = texels.pixels.T
     normals = 2.0 * read_pixels(image)[y, x, :3] - 1.0
-    quad_normals = read_values(level.data.polygons, "normal", 3)
+    quad_normals = _quad_normals(level.data, texels)
     tangents = texels.steps / np.linalg.norm(texels.steps, axis=2, keepdims=True)
     frames = np.concatenate([tangents, quad_normals.reshape(-1, 1, 3)], axis=1)[texels.quad_indices]
     local = np.einsum("nij,nj->ni", frames, normals)
@@ -129,7 +131,12 @@ def compute_tangent_normals(level: bpy.types.Object) -> np.ndarray | None:
     return dilate(texels.to_image(np.column_stack([0.5 + 0.5 * local, np.ones(len(local))]).astype(np.float32)), is_texel[..., 0])
 
 
-def _format_shape(level: bpy.types.Object, material: str, first_vertex: int) -> list[str]:
+def _quad_normals(mesh: bpy.types.Mesh, texels: Texels) -> np.ndarray:
+    """Return the unit normals (Q, 3) of the quads of a level's `mesh`: those of its faces, or of the planes of its charts."""
+    return read_values(mesh.polygons, "normal", 3) if read_face_quads(mesh) is None else texels.quad_normals.astype(np.float32)
+
+
+def _format_shape(level: bpy.types.Object, material: str, first_vertex: int, first_loop: int) -> list[str]:
     """Return vertices, UVs and polygons of one level as lines of an `.obj`."""
     mesh = level.data
     matrix = np.array(level.matrix_basis)  # Levels have no parent; world matrices of hidden objects are not up to date.
@@ -137,10 +144,11 @@ def _format_shape(level: bpy.types.Object, material: str, first_vertex: int) -> 
     lines = [f"v {x:.9g} {z:.9g} {-y:.9g}" for x, y, z in positions]
     lines += [f"vt {u:.7g} {v:.7g}" for u, v in read_uvs(mesh.uv_layers[0])]
     lines += [f"usemtl {material}"]
-    # Quads share no vertices, so vertices and UVs have the same numbers.
-    lines += [
-        "f " + " ".join(f"{first_vertex + vertex}/{first_vertex + vertex}" for vertex in polygon.vertices) for polygon in mesh.polygons
-    ]
+    loops = first_loop + np.arange(len(mesh.loops))
+    vertices = (first_vertex + read_loop_vertices(mesh)).tolist()
+    pairs = [f"{vertex}/{loop}" for vertex, loop in zip(vertices, loops.tolist(), strict=True)]
+    starts = [*read_values(mesh.polygons, "loop_start", dtype=np.int32).tolist(), len(pairs)]
+    lines += ["f " + " ".join(pairs[start:end]) for start, end in pairwise(starts)]
     return lines
 
 
@@ -158,7 +166,8 @@ def _create_export_copy(level: bpy.types.Object) -> bpy.types.Object:
 def create_plain_mesh(level: bpy.types.Object) -> bpy.types.Mesh:
     """Create a copy of the quads of `level` with a material that every glTF reader supports.
 
-    With a normal map the quads are flat shaded, because a tangent-space normal map is relative to the quad's own normal.
+    With a normal map the quads are flat shaded, because a tangent-space normal map is relative to the quad's own normal; all faces of a
+    chart have the normal of its plane.
     """
     normals = compute_tangent_normals(level)
     mesh = level.data.copy()
@@ -166,6 +175,10 @@ def create_plain_mesh(level: bpy.types.Object) -> bpy.types.Mesh:
     mesh.materials.append(_create_export_material(level.name, front_color_image(level), normals))
     if normals is not None and CORNER_NORMALS in mesh.attributes:
         mesh.attributes.remove(mesh.attributes[CORNER_NORMALS])
+        quads = read_face_quads(mesh)
+        if quads is not None:
+            counts = read_values(mesh.polygons, "loop_total", dtype=np.int32)
+            write_attribute(mesh, CORNER_NORMALS, "CORNER", np.repeat(read_level_texels(level).quad_normals[quads], counts, axis=0))
     return mesh
 
 

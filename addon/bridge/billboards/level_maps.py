@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 
 from ...core.billboards.cloud import Level
-from ...core.imaging.images import MIN_ALPHA, dilate, grow_silhouette, mean_over_coverage, unpremultiply
+from ...core.imaging.images import MIN_ALPHA, dilate, grow_silhouette, mean_over_coverage, nearest_known, unpremultiply
 from ...core.imaging.metrics import encode_srgb
 from ..imaging.images import create_image
 from .cloud_materials import COLOR, NORMAL, ROUGHNESS_METALLIC_DEPTH, create_cloud_material
@@ -46,11 +46,18 @@ class LevelTextures:
 
 
 def compute_maps(
-    color: np.ndarray, normal: np.ndarray, roughness_metallic_depth: np.ndarray, level: Level, continuation: np.ndarray
+    color: np.ndarray,
+    normal: np.ndarray,
+    roughness_metallic_depth: np.ndarray,
+    level: Level,
+    continuation: np.ndarray,
+    uncovered: np.ndarray,
 ) -> PbrMaps:
     """Compute the maps of one side from its three renders (H, W, 4): premultiplied, with normal and depth encoded in 0..1.
 
-    continuation: mask (H, W) bool of the texels into which silhouettes grow, because the surface continues there (see `silhouettes`).
+    continuation: mask (H, W) bool of the texels into which silhouettes grow, because the surface continues there; uncovered: quads (H, W)
+    int32 of the texels that get the color and alpha of the next texel of their quad, -1 elsewhere (see `silhouettes`). The depth of charts
+    is 0, because they have the shape of the surface.
     """
     radius = level.atlas.gutter // 2 + 1
     directions = mean_over_coverage(normal, radius) * 2.0 - 1.0
@@ -58,7 +65,30 @@ def compute_maps(
     directions = np.where(lengths > MIN_ALPHA, directions / np.maximum(lengths, MIN_ALPHA), np.float32([0.0, 0.0, 1.0]))
     parameters = mean_over_coverage(roughness_metallic_depth, radius)
     parameters[..., 2] = parameters[..., 2] * 2.0 - 1.0
-    return PbrMaps(grow_silhouette(np.clip(color, 0.0, None), continuation, radius), directions.astype(np.float32), parameters)
+    for quad, chart in enumerate(level.charts):
+        if chart is not None:
+            parameters[(*_cell(level, quad), 2)] = 0.0
+    color = _fill_charts(np.clip(color, 0.0, None), level, uncovered)
+    return PbrMaps(grow_silhouette(color, continuation, radius), directions.astype(np.float32), parameters)
+
+
+def _cell(level: Level, quad: int) -> tuple[slice, slice]:
+    """Return the rows and columns of the texels of a quad, with half of its gutter."""
+    x, y, width, height = level.atlas.rectangles[quad].tolist()
+    margin = level.atlas.gutter // 2
+    return slice(y - margin, y + height + margin), slice(x - margin, x + width + margin)
+
+
+def _fill_charts(color: np.ndarray, level: Level, uncovered: np.ndarray) -> np.ndarray:
+    """Return `color` (H, W, 4) with the nearest texel of the same quad in the `uncovered` texels."""
+    filled = color.copy()
+    for quad in np.unique(uncovered[uncovered >= 0]):
+        cell = _cell(level, quad)
+        is_unknown = uncovered[cell] == quad
+        if not is_unknown.all():
+            rows, columns = nearest_known(~is_unknown)
+            filled[cell] = color[cell][rows, columns]
+    return filled
 
 
 def compute_corner_normals(level: Level, maps: PbrMaps, quad: int, cutout: np.ndarray) -> np.ndarray:

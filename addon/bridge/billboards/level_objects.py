@@ -13,6 +13,7 @@ from ..objects import world_matrix
 from .cloud_materials import FRONT_COLOR
 
 CENTER = "farfield_center"  # Custom property of a level object: the mean of its vertices in world space when the cloud was built.
+QUAD_ATTRIBUTE = "farfield_quad"  # Per face: its quad, in levels where a quad may have several faces; otherwise each face is a quad.
 PBR_MATERIAL = "farfield_pbr_material"  # Custom property of a level object: the name of the material with the PBR maps.
 
 
@@ -56,7 +57,23 @@ def read_level_quads(level_object: bpy.types.Object, center: np.ndarray | None =
         loops = slice(polygon.loop_start, polygon.loop_start + polygon.loop_total)
         corners.append(world[list(polygon.vertices)])
         coordinates.append(uvs[loops] * size)
-    return QuadPolygons(corners, coordinates)
+    return QuadPolygons(corners, coordinates, read_face_quads(mesh))
+
+
+def read_face_quads(mesh: bpy.types.Mesh) -> np.ndarray | None:
+    """Return the quad (F,) int32 of each face of a level's mesh, ascending without gaps; None if each face is a quad of its own."""
+    attribute = mesh.attributes.get(QUAD_ATTRIBUTE)
+    if attribute is None or attribute.domain != "FACE" or attribute.data_type != "INT":
+        return None
+    quads = read_attribute(attribute)
+    is_valid = len(quads) and quads[0] == 0 and np.isin(np.diff(quads), (0, 1)).all()
+    return quads if is_valid else None
+
+
+def first_faces(mesh: bpy.types.Mesh) -> np.ndarray:
+    """Return the index (Q,) of the first face of each quad."""
+    quads = read_face_quads(mesh)
+    return np.arange(len(mesh.polygons)) if quads is None else np.flatnonzero(np.diff(quads, prepend=-1))
 
 
 def built_center(level_object: bpy.types.Object, source_origin: np.ndarray) -> np.ndarray:
@@ -74,7 +91,8 @@ def read_quad_flags(level_object: bpy.types.Object, name: str) -> np.ndarray:
     """Return the face attribute `name` as (Q,) bool, such as SOLID_ATTRIBUTE; False where the user has removed or changed it."""
     attribute = level_object.data.attributes.get(name)
     is_known = attribute is not None and attribute.domain == "FACE" and attribute.data_type == "FLOAT"
-    return read_attribute(attribute).astype(bool) if is_known else np.zeros(len(level_object.data.polygons), bool)
+    first = first_faces(level_object.data)
+    return read_attribute(attribute)[first].astype(bool) if is_known else np.zeros(len(first), bool)
 
 
 def read_pbr_alpha(level_object: bpy.types.Object, texels: Texels) -> np.ndarray:

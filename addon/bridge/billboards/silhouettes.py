@@ -8,6 +8,7 @@ from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
 from ...core.billboards.cloud import Level
+from ...core.billboards.texels import interpolate_in_triangles
 from ...core.imaging.images import MIN_ALPHA, max_of_neighbors
 from ..geometry.meshes import Source
 from .atlas_meshes import compute_placement
@@ -28,7 +29,7 @@ class SurfaceContinuation:
         candidates = np.zeros(alphas[0].shape, bool)
         for alpha in alphas:
             candidates |= (alpha < 1.0 - MIN_ALPHA) & (max_of_neighbors(alpha) > MIN_ALPHA)
-        quads = _rasterize_joined_quads(level)
+        quads = _rasterize_quads(level, level.joined)
         row, column = np.nonzero(candidates & (quads >= 0))
         if self._mesh is None or len(row) == 0:  # The discs of a point cloud have no silhouette of their own.
             return quads >= 0
@@ -39,6 +40,28 @@ class SurfaceContinuation:
         continuation = np.zeros(candidates.shape, bool)
         continuation[row, column] = self._cast_rays(origins, normals, 2.0 * MAX_HEIGHT * level.error)
         return continuation
+
+    def find_uncovered(self, level: Level, alphas: list[np.ndarray]) -> np.ndarray:
+        """Return the quad (H, W) int32 with a chart of each texel that is not to be trusted, because the chart lies there beyond the
+        surface; -1 for all others.
+
+        Charts are cut by their triangles alone, and what they show must reach these everywhere.
+        """
+        quads = _rasterize_quads(level, np.array([chart is not None for chart in level.charts]))
+        opaque = np.min(alphas, axis=0) >= 1.0 - MIN_ALPHA
+        is_missed = np.zeros(quads.shape, bool)
+        for quad in np.unique(quads[(quads >= 0) & ~opaque]):
+            row, column = np.nonzero((quads == quad) & ~opaque)
+            points = level.texel_size * (np.column_stack([column, row]) + 0.5 - 0.5 * np.array(level.atlas.size, np.float64))
+            chart, normal = level.charts[quad], level.quads.frames[quad, 2]
+            placement = compute_placement(level)
+            flat = placement.to_atlas(chart.vertices[chart.triangles], np.full(len(chart.triangles), quad))
+            height = interpolate_in_triangles(points, flat[..., :2], flat[..., 2:])
+            origins = placement.to_world(points, np.full(len(points), quad)) + (height - MAX_HEIGHT * level.error) * normal
+            directions = np.broadcast_to(normal, origins.shape)
+            is_missed[row, column] = ~self._cast_rays(origins, directions, 2.0 * MAX_HEIGHT * level.error)
+        is_near_missed = is_missed | (max_of_neighbors(is_missed.astype(np.float32)) > 0.0) & ~opaque
+        return np.where(is_near_missed, quads, -1)
 
     def _cast_rays(self, origins: np.ndarray, directions: np.ndarray, distance: float) -> np.ndarray:
         """Return whether each ray meets the surface within `distance`.
@@ -56,12 +79,13 @@ class SurfaceContinuation:
         return np.array([self._bvh.ray_cast(Vector(origin), Vector(ray), max_distance)[0] is not None for origin, ray in rays], bool)
 
 
-def _rasterize_joined_quads(level: Level) -> np.ndarray:
-    """Return the index (H, W) int32 of the joined quad of each texel of the atlas, including half of the gutter; -1 for none."""
+def _rasterize_quads(level: Level, is_wanted: np.ndarray) -> np.ndarray:
+    """Return the index (H, W) int32 of the quad of each texel of the atlas, including half of the gutter; -1 for none, and for quads that
+    `is_wanted` (Q,) bool excludes."""
     width, height = level.atlas.size
     quads = np.full((height, width), -1, np.int32)
     margin = level.atlas.gutter // 2
-    for quad in np.flatnonzero(level.joined):
+    for quad in np.flatnonzero(is_wanted):
         x, y, quad_width, quad_height = level.atlas.rectangles[quad]
         quads[y - margin : y + quad_height + margin, x - margin : x + quad_width + margin] = quad
     return quads

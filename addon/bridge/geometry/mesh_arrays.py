@@ -71,6 +71,11 @@ def write_attribute(mesh: bpy.types.Mesh, name: str, domain: str, values: np.nda
     attribute.data.foreach_set(VALUE_KEYS[data_type][0], _flatten(values))
 
 
+def write_integers(mesh: bpy.types.Mesh, name: str, domain: str, values: np.ndarray) -> None:
+    """Create the integer attribute `name` with `values` (N,) in `domain`."""
+    mesh.attributes.new(name, "INT", domain).data.foreach_set("value", np.ascontiguousarray(values, np.int32))
+
+
 def write_geometry(mesh: bpy.types.Mesh, positions: np.ndarray, loop_vertices: np.ndarray, polygon_starts: np.ndarray) -> None:
     """Replace the geometry of `mesh` by polygons.
 

@@ -77,7 +77,7 @@ class Budget:
         """Return the quads or triangles of the first of `levels`, or the megabytes of all in Blender, including gutters and all maps."""
         if self.triangles:
             return levels[0].triangle_count
-        return len(levels[0].quads) if self.quads else texture_megabytes(sum(math.prod(level.atlas.size) for level in levels))
+        return levels[0].quad_count if self.quads else texture_megabytes(sum(math.prod(level.atlas.size) for level in levels))
 
     def replace_in_settings(self, settings: BillboardSettings, limit: float) -> BillboardSettings:
         """Return `settings` with `limit`, positive, as the budget in the same unit."""

@@ -1,8 +1,11 @@
 """Construction of a billboard cloud with levels of detail from a mesh or point cloud: entry point of the tool `billboards`."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..errors import SettingsError
+from ..geometry.distance import closest_on_mesh
 from ..geometry.mesh import PointCloud, TriangleMesh, drop_degenerate, longest_side
 from ..jobs.progress import Progress, StageClock, Steps, subprogress
 from .budget import cover_within_budget, read_budget
@@ -80,25 +83,38 @@ def _measure(primitives: Primitives, levels: list[Level], settings: BillboardSet
     """Measure what the levels promise.
 
     Returns:
-        The maximum distance of a corner to the plane of a quad that shows it, over the level's error; the number of faces of the finest
-        level beyond the normal bound of their owner; the number of faces that no quad shows. A plane of the method hough is two-sided, so
-        there the smaller angle to its two normals counts.
+        The maximum distance of a corner to the plane of a quad, or to the charts, that show it, over the level's error; the number of faces
+        of the finest level beyond the normal bound of the quad that owns them; the number of faces that no quad shows. A plane of the
+        method hough is two-sided, so there the smaller angle to its two normals counts.
     """
     distance, beyond_normal_bound, uncovered = 0.0, 0, 0
     for index, level in enumerate(levels):
         quads = level.quads
         quad = np.repeat(np.arange(len(quads)), np.diff(quads.drawn_offsets))
         offsets = np.einsum("qi,qi->q", quads.centers, quads.frames[:, 2])
-        heights = np.einsum("kci,ki->kc", primitives.positions[quads.drawn], quads.frames[quad, 2]) - offsets[quad, None]
-        distance = max(distance, float(np.abs(heights).max() / level.error))
+        has_chart = np.array([chart is not None for chart in level.charts])
+        is_flat = ~has_chart[quad]
+        drawn, quad = quads.drawn[is_flat], quad[is_flat]
+        heights = np.einsum("kci,ki->kc", primitives.positions[drawn], quads.frames[quad, 2]) - offsets[quad, None]
+        largest = float(np.abs(heights).max(initial=0.0) / level.error)
+        distance = max(distance, largest, _measure_charts(primitives, level, has_chart))
         is_drawn = np.zeros(len(primitives), bool)
         is_drawn[quads.drawn] = True
         uncovered = max(uncovered, int((~is_drawn).sum()))
         if index == 0:
-            cosines = np.einsum("pi,pi->p", primitives.normals, quads.frames[quads.owner, 2])
+            cosines = np.einsum("pi,pi->p", primitives.normals, quads.frames[quads.owner, 2])[~has_chart[quads.owner]]
             cosines = np.abs(cosines) if settings.method == "hough" else cosines
             beyond_normal_bound = int((cosines < np.cos(settings.max_normal_deviation)).sum())
     return distance, beyond_normal_bound, uncovered
+
+
+def _measure_charts(primitives: Primitives, level: Level, has_chart: np.ndarray) -> float:
+    """Return the maximum distance of a corner of a primitive that a chart owns to the charts, over the error."""
+    charts = [chart.vertices[chart.triangles] for chart in level.charts if chart is not None]
+    if not charts:
+        return 0.0
+    corners = primitives.corners[has_chart[level.quads.owner]]
+    return float(closest_on_mesh(primitives.points[np.unique(corners)], np.concatenate(charts))[0].max() / level.error)
 
 
 def _move_to_source(level: Level, center: np.ndarray, kept: np.ndarray, total: int) -> Level:
@@ -107,5 +123,6 @@ def _move_to_source(level: Level, center: np.ndarray, kept: np.ndarray, total: i
     owner[kept] = level.quads.owner
     quads = level.quads
     drawn = kept[quads.drawn].astype(np.int32)
+    charts = [None if chart is None else replace(chart, vertices=chart.vertices + center) for chart in level.charts]
     moved = Quads(quads.centers + center, quads.frames, quads.half_sizes, quads.drawn_offsets, drawn, owner)
-    return Level(level.error, level.texel_size, moved, level.atlas, level.cutouts, level.joined, level.solid)
+    return Level(level.error, level.texel_size, moved, level.atlas, level.cutouts, level.joined, level.solid, charts)

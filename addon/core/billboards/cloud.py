@@ -1,8 +1,11 @@
 """Data of a billboard cloud: per level the quads in space, the faces drawn on each, and their rectangles in a texture atlas."""
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
+
+RECTANGLE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])  # A cutout that cuts nothing off.
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,21 @@ class AtlasLayout:
 
 
 @dataclass(frozen=True)
+class Chart:
+    """A part of a mesh that is a height field over the plane of a quad.
+
+    Attributes:
+        vertices: (V, 3) float64 in space; those on a border are the same numbers in the charts on both sides.
+        triangles: (T, 3) int32 into the vertices, counterclockwise seen from the front of the quad.
+        normals: (V, 3) unit normals for shading, of the mesh on both sides of a border, but not beyond a crease.
+    """
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    normals: np.ndarray
+
+
+@dataclass(frozen=True)
 class Level:
     """One level of detail of a cloud.
 
@@ -71,6 +89,7 @@ class Level:
         joined: (Q,) bool, the quad shows part of a surface that continues on other quads; its textures are extended by one texel,
             so that no crack opens.
         solid: (Q,) bool, the quad shows only the outside of solids, whose inside no camera sees.
+        charts: per quad the part of a mesh that is shown in its place, None for a flat polygon.
     """
 
     error: float
@@ -80,11 +99,29 @@ class Level:
     cutouts: list[np.ndarray]
     joined: np.ndarray
     solid: np.ndarray
+    charts: list[Chart | None]
 
     @property
     def triangle_count(self) -> int:
-        """Number of triangles of the cutouts: a polygon of C corners has C - 2."""
-        return sum(len(cutout) - 2 for cutout in self.cutouts)
+        """Number of triangles of the cutouts and charts: a polygon of C corners has C - 2."""
+        flat = sum(len(cutout) - 2 for cutout, chart in zip(self.cutouts, self.charts, strict=True) if chart is None)
+        return flat + self.chart_triangle_count
+
+    @property
+    def chart_triangle_count(self) -> int:
+        """Number of triangles of the charts."""
+        return sum(len(chart.triangles) for chart in self.charts if chart is not None)
+
+    @property
+    def quad_count(self) -> int:
+        """Number of quads for a budget: two triangles of charts count as one quad, and each chart as one at least."""
+        chart_count = sum(chart is not None for chart in self.charts)
+        return len(self.quads) - chart_count + max(chart_count, math.ceil(0.5 * self.chart_triangle_count))
+
+    def to_cutout(self, quad: int, points: np.ndarray) -> np.ndarray:
+        """Return where `points` (N, 3) in space lie on the plane of a quad, (N, 2) in its half sizes."""
+        local = (points - self.quads.centers[quad]) @ self.quads.frames[quad, :2].T
+        return local / np.maximum(self.quads.half_sizes[quad], np.finfo(float).tiny)
 
     @property
     def texel_count(self) -> int:

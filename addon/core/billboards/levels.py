@@ -1,16 +1,18 @@
 """Construction of levels of detail for any error: coverings by the selected method, then quads, atlas and the polygons of quads."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..jobs.progress import StageClock, Steps
+from ..jobs.progress import StageClock, Steps, subprogress
 from . import methods
 from .atlas import pack
-from .cloud import Level
+from .cloud import RECTANGLE, Level
 from .clustering.patches import Covering, Patch, extend_overlaps, to_quads
 from .clustering.rectangles import compute_bounds
+from .parts.part_meshes import Part
+from .parts.selection import mesh_parts
 from .primitives import Components, Primitives, find_shared_surfaces
 from .settings import BillboardSettings
 
@@ -23,6 +25,7 @@ OVERLAP_MARGIN = 0.25  # In errors: quads of a convex surface that meet at 30 de
 ROUNDING_MARGIN = 1e-4  # In errors: reserve for rounding to single precision in Blender and in files.
 MAX_BACK_FRACTION = 0.25  # Of the area that a quad shows: where more faces away, it shows both sides of a plate.
 MIN_HALF_SIZE = 1e-12  # In texels: replaces the half size 0 of a quad without height, a divisor.
+PARTS_PROGRESS = 0.8  # Meshes of solid parts start at this fraction of the progress.
 CLIP_TOLERANCE = 1e-6  # In half sizes: primitives that exceed the rectangle by less are not clipped.
 CORNER_CUT_DIRECTIONS = np.linspace(0.1, 0.9, 17)  # x component of the normal of a corner cut; its y component is the rest to 1.
 MIN_CUT_AREA = 16.0  # In squared errors, that is pixels at the switch distance: what a cut must save to pay for its triangle.
@@ -33,11 +36,13 @@ class LevelBuilder:
     """Builds levels with `settings`, but with errors from the caller, as fractions of `longest_side`.
 
     longest_side: length of the longest bounding-box side of the complete source. clock: measures the time of every stage.
+    prepared: parts of primitives, prepared to become meshes.
     """
 
     settings: BillboardSettings
     longest_side: float
     clock: StageClock
+    prepared: list[tuple[Primitives, dict[int, Part]]] = field(default_factory=list)
 
     def build_coverings(
         self,
@@ -51,7 +56,35 @@ class LevelBuilder:
         """Build the coverings of the `count` finest levels, finest first, with `relative_error` at the finest; see `methods`."""
         errors = [error * (1.0 - ROUNDING_MARGIN) for error in self._errors(relative_error, count)]
         method = METHODS[self.settings.method]
-        return method(primitives, components, errors, self.settings, self.clock, finished, reference_area)
+        steps = method(primitives, components, errors, self.settings, self.clock, finished, reference_area)
+        if not self.settings.meshes_parts:
+            return (yield from steps)
+        coverings = yield from subprogress(steps, 0.0, PARTS_PROGRESS)
+        new = range(len(finished), count)
+        for index, level in enumerate(new):
+            step = (1.0 - PARTS_PROGRESS) / len(new)
+            start = PARTS_PROGRESS + step * index
+            meshing = self._mesh_parts(primitives, components, coverings[level], errors[level])
+            coverings[level] = yield from subprogress(meshing, start, start + step)
+        return coverings
+
+    def _mesh_parts(self, primitives: Primitives, components: Components, covering: Covering, error: float) -> Steps[Covering]:
+        """Replace quads of `covering` by meshes, see `mesh_parts`."""
+
+        def recover(indices: np.ndarray) -> Steps[Covering]:
+            subset = primitives.subset(indices), components.subset(indices)
+            return (yield from METHODS[self.settings.method](*subset, [error], self.settings, self.clock))[0]
+
+        with self.clock.stage("parts"):
+            return (yield from mesh_parts(primitives, components, covering, error, self._parts_of(primitives), recover))
+
+    def _parts_of(self, primitives: Primitives) -> dict[int, Part]:
+        """Return the parts of `primitives` that were prepared before, by label."""
+        for known, parts in self.prepared:
+            if known is primitives:
+                return parts
+        self.prepared.append((primitives, {}))
+        return self.prepared[-1][1]
 
     def build_levels(
         self, primitives: Primitives, components: Components, coverings: Sequence[Covering], relative_error: float
@@ -81,9 +114,10 @@ def _build_level(primitives: Primitives, covering: Covering, components: Compone
     cutouts = [
         _compute_cutout(primitives, patch, texel_size, settings.cutout_corners, MIN_CUT_AREA * error**2) for patch in covering.patches
     ]
-    joined = np.array([patch.outline is None and bool(shared[patch.drawn].any()) for patch in covering.patches])
+    joined = np.array([not patch.is_fixed and bool(shared[patch.drawn].any()) for patch in covering.patches])
     solid = np.array([_hides_back(primitives, components, patch, settings) for patch in covering.patches])
-    return Level(error, texel_size, quads, pack(quads.half_sizes, texel_size), cutouts, joined, solid)
+    charts = [patch.chart for patch in covering.patches]
+    return Level(error, texel_size, quads, pack(quads.half_sizes, texel_size), cutouts, joined, solid, charts)
 
 
 def _hides_back(primitives: Primitives, components: Components, patch: Patch, settings: BillboardSettings) -> bool:
@@ -100,6 +134,8 @@ def _compute_cutout(primitives: Primitives, patch: Patch, texel_size: float, max
 
     min_area: that a cut must save, in squared units of length.
     """
+    if patch.chart is not None:
+        return RECTANGLE
     if patch.outline is not None:
         return patch.outline
     center = patch.rectangle.reshape(2, 2).mean(axis=1)

@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from ..settings import describe
-from .cloud import Level
+from .cloud import RECTANGLE, Level
 from .settings import BillboardSettings
 
 MAX_TRIANGLE_RATIO = 0.55  # Triangles of a level over those of the level before.
 PROPOSAL_STEP = 2.0**0.5  # Factor between the errors of which one is proposed.
-RECTANGLE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 ERROR = next(item for item in describe(BillboardSettings) if item.name == "error")
 
 

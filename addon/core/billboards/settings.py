@@ -15,6 +15,11 @@ METHODS = {
     "decimate": Choice("Decimate", "Edge collapse with a measured error: for smooth connected surfaces (section 4.2)"),
 }
 
+SOLID_PARTS = {
+    "mesh": Choice("Mesh", "Decimated meshes for parts that these show with about as few triangles, quads for the others"),
+    "quads": Choice("Quads", "Flat quads for everything"),
+}
+
 in_detail, in_textures = partial(setting, group="Detail"), partial(setting, group="Textures")
 
 
@@ -91,6 +96,12 @@ class BillboardSettings(Settings):
         panel_label="Max Waste",
         used_if={"method": ("clusters", "decimate")},
     )
+    solid_parts: str = in_detail(
+        "mesh",
+        "What shows trunks, walls and other connected surfaces: decimated meshes where these need about as few triangles, or quads only",
+        choices=SOLID_PARTS,
+        used_if={"method": ("clusters",), "nested_levels": False},
+    )
     texel_size: float = in_textures(0.5, "Side length of a texel relative to the level's error", minimum=0.05, maximum=4.0)
     loose_fraction: float = in_detail(
         0.5,
@@ -105,6 +116,11 @@ class BillboardSettings(Settings):
     textures: bool = setting(True, "Capture textures from the materials with Cycles")
     samples: int = in_textures(16, "Cycles samples per texel of the captured textures", minimum=1, maximum=4096, used_if={"textures": True})
     seed: int = setting(0, "Seed of the random choices", minimum=0, maximum=2**31 - 1, group="Advanced")
+
+    @property
+    def meshes_parts(self) -> bool:
+        """Whether solid parts may be meshes. Quads of nested levels must merge to larger quads."""
+        return self.solid_parts == "mesh" and self.method == "clusters" and not self.nested_levels
 
     @property
     def keeps_all_levels(self) -> bool:

@@ -56,7 +56,7 @@ class TwoSidedTexels:
 
     def faces_viewer(self, direction: np.ndarray) -> np.ndarray:
         """Whether the front of each texel (N,) faces a viewer in `direction` (3,)."""
-        return (self.texels.quad_normals @ direction > 0.0)[self.texels.quad_indices]
+        return self.texels.face_viewer(direction)
 
     def is_drawn(self, direction: np.ndarray) -> np.ndarray:
         """Whether each texel (N,) is drawn for a viewer in `direction` (3,)."""

@@ -9,9 +9,10 @@ import numpy as np
 from ....core.billboards.atlas import MAX_SIDE
 from ....core.billboards.texels import QuadPolygons
 from ....core.errors import GeometryError
+from ....core.geometry.distance import closest_on_mesh
 from ...billboards import clouds
 from ...billboards.cloud_materials import FRONT_COLOR, FRONT_NORMAL, FRONT_ROUGHNESS_METALLIC_DEPTH
-from ...billboards.level_objects import built_center, find_atlas_size, pbr_image, read_atlas_size, read_level_quads
+from ...billboards.level_objects import built_center, find_atlas_size, first_faces, pbr_image, read_atlas_size, read_level_quads
 from ...billboards.scene_clouds import SceneCloud
 from ...geometry.meshes import Source
 
@@ -79,8 +80,10 @@ def is_unchanged(level_object: bpy.types.Object, quads: QuadPolygons, has_surfac
         return False
     if has_surface and None in [pbr_image(level_object, label) for label in PBR_LABELS]:
         return False
-    current = read_level_quads(level_object, np.concatenate(quads.corners).mean(axis=0))
-    pairs = [*zip(current.corners, quads.corners, strict=False), *zip(current.texel_coordinates, quads.texel_coordinates, strict=False)]
+    current = read_level_quads(level_object)
+    moved = np.concatenate(quads.corners).mean(axis=0) - np.concatenate(current.corners).mean(axis=0)
+    corners = [polygon + moved for polygon in current.corners]
+    pairs = [*zip(corners, quads.corners, strict=False), *zip(current.texel_coordinates, quads.texel_coordinates, strict=False)]
     is_same = all(first.shape == second.shape and np.allclose(first, second, rtol=1e-5, atol=1e-5) for first, second in pairs)
     return is_same and len(current.corners) == len(quads.corners)
 
@@ -118,7 +121,7 @@ def _drawn_problem(mesh: bpy.types.Mesh, primitive_count: int) -> str:
         offsets, drawn = clouds.read_drawn_primitives(mesh)
     except (KeyError, TypeError, ValueError, OverflowError):
         return problem
-    if offsets.shape != (len(mesh.polygons) + 1,) or drawn.ndim != 1 or not len(drawn):
+    if offsets.shape != (len(first_faces(mesh)) + 1,) or drawn.ndim != 1 or not len(drawn):
         return problem
     if offsets[0] != 0 or offsets[-1] != len(drawn) or (np.diff(offsets) < 0).any():
         return problem
@@ -148,7 +151,7 @@ def _quads_problem(quads: QuadPolygons, level_object: bpy.types.Object) -> str:
     if problem:
         return problem
     width, height = read_atlas_size(level_object)
-    texel_count = sum(np.prod(np.ptp(coordinates, axis=0) + 2.0) for coordinates in quads.texel_coordinates)
+    texel_count = sum(np.prod(np.ptp(np.concatenate(coordinates), axis=0) + 2.0) for _, coordinates in quads.by_quad())
     if texel_count > MAX_TEXEL_SHARING * width * height:
         return "its quads overlap in the UV map"
     pairs = zip(quads.corners, quads.texel_coordinates, strict=True)
@@ -158,16 +161,22 @@ def _quads_problem(quads: QuadPolygons, level_object: bpy.types.Object) -> str:
 
 
 def _distance_problem(quads: QuadPolygons, level_object: bpy.types.Object, source: Source) -> str:
-    """Check that the vertices that quads show are close to their planes."""
+    """Check that the vertices that quads show are close to their planes; charts, that their own are close to what they show."""
     offsets, drawn = clouds.read_drawn_primitives(level_object.data)
-    centers = np.array([corners.mean(axis=0) for corners in quads.corners])
-    normals = np.array([_normal(corners) for corners in quads.corners])
+    max_distance = MAX_PLANE_DISTANCE * level_object["farfield_error"]
+    first = np.unique(quads.quad_indices, return_index=True)[1]
+    centers = np.array([quads.corners[face].mean(axis=0) for face in first])
+    normals = np.array([_normal(quads.corners[face]) for face in first])
     quad_of_drawn = np.repeat(np.arange(len(centers)), np.diff(offsets))
     vertices = source.points.points[drawn][:, None] if source.mesh is None else source.mesh.vertices[source.mesh.triangles[drawn]]
     distances = np.einsum("dki,di->dk", vertices - centers[quad_of_drawn, None], normals[quad_of_drawn])
-    if np.abs(distances).max() > MAX_PLANE_DISTANCE * level_object["farfield_error"]:
-        return "its quads are not on the source"
-    return ""
+    is_far = np.abs(distances).max(axis=1) > max_distance
+    if quads.quads is not None and vertices.shape[1] == 3 and is_far.any():
+        far_quads = np.unique(quad_of_drawn[is_far])
+        charts = [quads.corners[face] for face in np.flatnonzero(np.isin(quads.quads, far_quads))]
+        shown = vertices[np.isin(quad_of_drawn, far_quads)]
+        is_far = closest_on_mesh(np.concatenate(charts), shown)[0] > max_distance
+    return "its quads are not on the source" if is_far.any() else ""
 
 
 def _affine_residual(corners: np.ndarray, texel_coordinates: np.ndarray) -> float:

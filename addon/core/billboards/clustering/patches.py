@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..cloud import Quads
+from ..cloud import Chart, Quads
 from ..primitives import Primitives
 from .rectangles import compute_bounds
 
@@ -21,6 +21,7 @@ class Patch:
         drawn: (K,) primitives drawn on it.
         region: (R,) primitives that it could show within its bounds.
         outline: (C, 2) polygon in the rectangle, in -1..1 of its half sizes, if the method determines it; otherwise None.
+        chart: The part of a mesh that is shown in its place, if any.
     """
 
     normal: np.ndarray
@@ -30,6 +31,12 @@ class Patch:
     drawn: np.ndarray
     region: np.ndarray
     outline: np.ndarray | None = None
+    chart: Chart | None = None
+
+    @property
+    def is_fixed(self) -> bool:
+        """Whether its outline is given, so that nothing is added to it."""
+        return self.outline is not None or self.chart is not None
 
 
 @dataclass(frozen=True)
@@ -85,7 +92,7 @@ def extend_overlaps(primitives: Primitives, covering: Covering, shared: np.ndarr
 
     Each patch of a connected surface with several quads is extended by `margin` (a length) and also draws the adjacent primitives within
     its bounds. Other components, such as leaves, are drawn on one quad only: a second image would blur their outline. Patches with an
-    outline do not change; patches without drawn primitives are removed.
+    outline or a chart do not change; patches without drawn primitives are removed.
 
     Args:
         shared: (P,) bool from `find_shared_surfaces`.
@@ -93,7 +100,7 @@ def extend_overlaps(primitives: Primitives, covering: Covering, shared: np.ndarr
     single_patch = _find_single_patch(primitives, covering)
     patches = []
     for index, patch in enumerate(covering.patches):
-        if patch.outline is not None:
+        if patch.is_fixed:
             patches.append(patch)
             continue
         rectangle = patch.rectangle

@@ -73,7 +73,8 @@ def find_fragments(quads: QuadPolygons, texels: Texels, view: OrthographicView, 
     ray_count = view.resolution**2 * rays_per_side**2
     if not quads.corners:
         return Fragments(ray_count, np.zeros(0, np.int32), np.zeros((0, 4), np.int32), np.zeros((0, 4), np.float32))
-    quad_indices, rows, columns, values = _intersect(quads, ray_view)
+    polygons, rows, columns, values = _intersect(quads, ray_view)
+    quad_indices = quads.quad_indices[polygons]
     pixels = rows // rays_per_side * view.resolution + columns // rays_per_side
     ray_indices = (pixels * rays_per_side + rows % rays_per_side) * rays_per_side + columns % rays_per_side
     order = np.lexsort((-values[:, 2], ray_indices))
@@ -84,7 +85,7 @@ def find_fragments(quads: QuadPolygons, texels: Texels, view: OrthographicView, 
 def _intersect(quads: QuadPolygons, view: OrthographicView) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Intersect rays through the pixel centers of `view` with quads.
 
-    Returns quad, row and column (M,) int64, and (M, 3): texture coordinates in texels and height above the view's center.
+    Returns polygon, row and column (M,) int64, and (M, 3): texture coordinates in texels and height above the view's center.
     """
     counts = np.array([len(corners) for corners in quads.corners])
     first, offsets = np.cumsum(counts) - counts, np.arange(counts.max())

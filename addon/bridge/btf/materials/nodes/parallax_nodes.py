@@ -6,6 +6,7 @@ import bpy
 import numpy as np
 
 from .....core.btf.reflectance.parallax import MAX_OFFSET, MIN_COSINE
+from ....billboards.level_objects import read_face_quads
 from ....geometry.mesh_arrays import write_attribute
 from ....shading.node_builder import NodeBuilder, SocketOrValue
 from .table_nodes import sample_image
@@ -15,9 +16,10 @@ DEPTH = "Depth"  # Label of the image node of the PBR map with depth.
 
 
 def write_texel_axes(mesh: bpy.types.Mesh, axes: np.ndarray) -> None:
-    """Store the `axes` (Q, 2, 3) of the polygons of `mesh` as face attributes, see `core.btf.reflectance.parallax.parallax_axes`."""
+    """Store the `axes` (Q, 2, 3) of the quads of `mesh` as face attributes, see `core.btf.reflectance.parallax.parallax_axes`."""
+    quads = read_face_quads(mesh)
     for index, name in enumerate(TEXEL_AXES):
-        write_attribute(mesh, name, "FACE", axes[:, index])
+        write_attribute(mesh, name, "FACE", axes[:, index] if quads is None else axes[quads, index])
 
 
 def parallax_uv(builder: NodeBuilder, depth_image: bpy.types.Image, viewer: SocketOrValue) -> bpy.types.NodeSocket:
