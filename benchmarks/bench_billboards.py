@@ -186,7 +186,7 @@ def read_mesh(path: Path) -> TriangleMesh:
 
 def build_untextured(mesh: TriangleMesh, **settings: Any) -> Cloud:
     """Build the cloud of `mesh` without textures."""
-    return run_to_end(build_cloud(mesh, BillboardSettings(**settings)))
+    return run_to_end(build_cloud(mesh, BillboardSettings(**({"solid_parts": "quads"} | settings))))
 
 
 PARTS: dict[str, Callable[[Path | None], dict[str, Any]]] = {

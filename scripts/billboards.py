@@ -151,6 +151,7 @@ def build_level_report(levels: list[Level], objects: list[bpy.types.Object]) -> 
         "error": max(level.error for level in levels),
         "quads": sum(len(level.quads) for level in levels),
         "triangles": sum(level.triangle_count for level in levels),
+        "mesh_triangles": sum(level.chart_triangle_count for level in levels),
         "texels": sum(level.texel_count for level in levels),
         "switch_distance": distance if math.isfinite(distance) else None,
     }

@@ -50,7 +50,7 @@ def baked_file(extension, tmp_path_factory):
     blender_scenes.reset_scene()
     material = blender_scenes.create_material("Red", (0.8, 0.2, 0.1), 0.6)
     blender_scenes.shader_of(material).inputs["Coat Roughness"].default_value = 0.4  # It is copied, and not seen without a coat.
-    bake_in_this_process(build_cloud(blender_scenes.ball(material=material)), **BAKE)
+    bake_in_this_process(build_cloud(blender_scenes.ball(material=material), solid_parts="quads"), **BAKE)
     path = tmp_path_factory.mktemp("surface") / "baked.blend"
     scene_files.save_scene(path)
     return path
@@ -72,6 +72,20 @@ def test_every_light_reaches_the_cloud_and_it_is_nearer_to_the_source_than_its_p
     assert relightable == pytest.approx(source, rel=0.08)
     psnr, plain_psnr = comparison.compute_scores()[..., 0]
     assert (psnr > plain_psnr + 0.5).all() and psnr.min() > 28.0
+
+
+def test_the_mesh_of_a_solid_part_is_relit_and_keeps_its_silhouette(extension):
+    cloud = build_cloud(blender_scenes.ball(material=blender_scenes.create_material("Red", (0.8, 0.2, 0.1), 0.6)))
+    level = cloud.levels[0]
+    assert "farfield_quad" in level.data.attributes
+    bake_in_this_process(cloud, **BAKE)
+    plain = Candidate("PBR", [copy_with_pbr_material(level)])
+    directions = np.array([[[0.3, -0.9, 0.2], [-0.8, 0.3, 0.5]], [[0.7, -0.5, 0.5], [-0.2, -0.6, 0.7]]])
+    directions /= np.linalg.norm(directions, axis=2, keepdims=True)
+    comparison = run_to_end(compare_relighting(cloud.sources, level, [plain], cloud.errors[0], tuple(directions), 32, light="sun"))
+    source, relightable, _ = comparison.renders[..., :3].sum(axis=(1, 2, 3, 4))
+    assert relightable == pytest.approx(source, rel=0.05)
+    assert comparison.compute_scores()[..., 0].min() > 34.0
 
 
 def test_the_silhouette_of_every_baked_view_is_that_of_the_source(cloud):

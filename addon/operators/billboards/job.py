@@ -139,9 +139,11 @@ class BillboardJob:
 
 
 def _describe_levels(cloud: Cloud) -> str:
-    """Return the numbers of quads of all levels, and those of triangles."""
+    """Return the numbers of quads of all levels, and those of triangles, in all and in the meshes of solid parts."""
     quads, triangles = ([str(len(level.quads)) for level in cloud.levels], [str(level.triangle_count) for level in cloud.levels])
-    return f"{', '.join(quads)} quads; {', '.join(triangles)} triangles"
+    in_meshes = [str(level.chart_triangle_count) for level in cloud.levels]
+    meshes = f", {', '.join(in_meshes)} of them in meshes" if any(level.chart_triangle_count for level in cloud.levels) else ""
+    return f"{', '.join(quads)} quads; {', '.join(triangles)} triangles{meshes}"
 
 
 def prepare_job(

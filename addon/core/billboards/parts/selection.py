@@ -14,6 +14,8 @@ from .charts import PlacedChart, divide_into_charts
 from .part_meshes import Part, PartMesh, find_closest_facing
 
 MAX_TRIANGLE_RATIO = 1.3  # Triangles of the mesh of a part over those of the quads that would show it.
+MAX_REST_RATIO = 1.1  # The same for all other parts, whose quads change where they were shared.
+MAX_CHART_RATIO = 0.6  # Charts of a part over its triangles; a box has half as many. Fragments have one each, and gain nothing.
 MIN_PART_TRIANGLES = 12  # Of the quads that would show a part; a part with fewer stays quads.
 TRIANGLES_PER_QUAD = 2.2
 MARGIN = 1.5  # In errors: what lies within this distance of a chart is drawn on it, for the filter at its border.
@@ -26,11 +28,12 @@ Recover = Callable[[np.ndarray], Steps[Covering]]
 
 @dataclass(frozen=True)
 class _MeshedPart:
-    """A part, the indices (K,) of its primitives, and its mesh."""
+    """The indices (K,) of the primitives of a part, the triangles of the quads that would show it, and its mesh with its charts."""
 
     members: np.ndarray
-    part: Part
+    expected: float
     mesh: PartMesh
+    charts: list[PlacedChart]
 
 
 def mesh_parts(
@@ -58,7 +61,17 @@ def mesh_parts(
     kept, orphans = _keep_quads(covering, is_meshed)
     if len(orphans):
         charts.append((orphans, (yield from recover(orphans))))
-    return merge_coverings([(np.arange(len(primitives)), kept), *charts], len(primitives))
+    merged = merge_coverings([(np.arange(len(primitives)), kept), *charts], len(primitives))
+    return merged if _is_light(merged, covering, chosen) else covering
+
+
+def _is_light(merged: Covering, covering: Covering, chosen: list[_MeshedPart]) -> bool:
+    """Return whether the covering with meshes has about as few triangles as the one with quads only."""
+    expected = sum(item.expected for item in chosen)
+    rest = TRIANGLES_PER_QUAD * len(covering.patches) - expected
+    flat = TRIANGLES_PER_QUAD * sum(patch.chart is None for patch in merged.patches)
+    count = flat + sum(len(item.mesh.triangles) for item in chosen)
+    return count <= MAX_TRIANGLE_RATIO * expected + MAX_REST_RATIO * rest
 
 
 def _choose(
@@ -77,8 +90,9 @@ def _choose(
         if label not in parts:
             parts[label] = Part(primitives.positions[members[label]])
         mesh = parts[label].simplify(error, int(MAX_TRIANGLE_RATIO * expected[label]))
-        if mesh is not None:
-            chosen.append(_MeshedPart(members[label], parts[label], mesh))
+        placed = [] if mesh is None else divide_into_charts(mesh)
+        if placed and len(placed) <= MAX_CHART_RATIO * len(mesh.triangles):
+            chosen.append(_MeshedPart(members[label], expected[label], mesh, placed))
     return chosen
 
 
@@ -123,7 +137,7 @@ def _keep_quads(covering: Covering, is_meshed: np.ndarray) -> tuple[Covering, np
 
 def _cover_with_charts(primitives: Primitives, item: _MeshedPart, error: float) -> Covering:
     """Return the covering of `primitives` with the charts of the mesh of `item`."""
-    placed = divide_into_charts(item.mesh)
+    placed = item.charts
     corners = item.mesh.vertices[item.mesh.triangles]
     chart_of = np.empty(len(corners), np.int32)
     for index, chart in enumerate(placed):
