@@ -47,7 +47,7 @@ def build_ball_cloud() -> SceneCloud:
     ball = blender_scenes.ball(material=blender_scenes.create_material("Red", (0.8, 0.2, 0.1), 1.0))
     bpy.context.view_layer.objects.active = ball
     ball.select_set(True)
-    bpy.ops.farfield.billboards_build(error=5.0, levels=1, samples=2)
+    bpy.ops.farfield.billboards_build(error=5.0, levels=1, samples=2, solid_parts="quads")
     return clouds_in(bpy.context.scene)[0]
 
 

@@ -203,6 +203,7 @@ def read_frames(item, texels) -> np.ndarray:
         corners = uvs[list(triangle.loops)]
         edges = np.linalg.solve(corners[1:] - corners[0], positions[1:] - positions[0])
         normal = matrix @ np.array(triangle.split_normals[0])
+        edges -= (edges @ normal)[:, None] * normal  # The normals of a mesh of a solid part are those of the plane of a chart.
         frame = np.stack([edges[0] / np.linalg.norm(edges[0]), edges[1] / np.linalg.norm(edges[1]), normal])
         low, high = corners.min(axis=0), corners.max(axis=0)
         frames[((uv > low - 0.001) & (uv < high + 0.001)).all(axis=1)] = frame

@@ -78,7 +78,8 @@ def test_the_mesh_of_a_solid_part_is_relit_and_keeps_its_silhouette(extension):
     cloud = build_cloud(blender_scenes.ball(material=blender_scenes.create_material("Red", (0.8, 0.2, 0.1), 0.6)))
     level = cloud.levels[0]
     assert "farfield_quad" in level.data.attributes
-    bake_in_this_process(cloud, **BAKE)
+    cloud = bake_in_this_process(cloud, **BAKE)
+    level = cloud.levels[0]
     plain = Candidate("PBR", [copy_with_pbr_material(level)])
     directions = np.array([[[0.3, -0.9, 0.2], [-0.8, 0.3, 0.5]], [[0.7, -0.5, 0.5], [-0.2, -0.6, 0.7]]])
     directions /= np.linalg.norm(directions, axis=2, keepdims=True)
