@@ -10,7 +10,7 @@ pytest.importorskip("bpy")
 import bpy
 
 from bridge import blender_scenes, pbr_clouds
-from farfield.addon.bridge.billboards.atlas_meshes import compute_placement
+from farfield.addon.bridge.billboards.atlas_meshes import compute_placement, separate_heights
 from farfield.addon.bridge.billboards.capture import capture_textures
 from farfield.addon.bridge.imaging.images import check_images
 from farfield.addon.core.billboards.settings import BillboardSettings
@@ -225,3 +225,9 @@ def test_extreme_scales_look_the_same(scale):
     inside = quads >= 0
     assert textures.front.color[inside][:, 3] == pytest.approx(1.0, abs=0.01)
     assert textures.front.color[inside][:, 0] == pytest.approx(0.8, abs=0.01)
+
+
+def test_no_two_quads_are_captured_in_one_plane():
+    """Behind a transparent face at the same distance, whole sides of boxes were missing."""
+    heights = separate_heights(np.arange(500), 2.0)
+    assert np.diff(np.sort(heights)).min() > 1e-6 and 0.0 <= heights.min() <= heights.max() <= 0.02

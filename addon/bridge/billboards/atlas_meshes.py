@@ -23,6 +23,8 @@ from ..shading.material_channels import CELL_COORDINATES
 from ..shading.scene_space_nodes import GENERATED, ISLAND, LOCATION, OBJECT, OBJECT_AXES, POSITION, QUAD_AXES, RANDOM, required_attributes
 
 Copy = TypeVar("Copy")
+HEIGHT_RANGE = 0.01  # In errors. The depth that is captured is corrected by it.
+GOLDEN_RATIO = (5.0**0.5 - 1.0) / 2.0
 
 
 @dataclass(frozen=True)
@@ -125,6 +127,15 @@ def compute_atlas_positions(drawn: DrawnTriangles, placement: AtlasPlacement) ->
     matrices = drawn.matrices[drawn.instances]
     world = np.einsum("kij,kcj->kci", matrices[:, :3, :3], local) + matrices[:, None, :3, 3]
     return world, placement.to_atlas(world, drawn.quads)
+
+
+def separate_heights(quads: np.ndarray | int, error: float) -> np.ndarray:
+    """Return heights (K,) that lift what is drawn on `quads` (K,) out of one common plane, by at most HEIGHT_RANGE of `error`.
+
+    A ray that has passed a transparent surface, such as a face that is cut to the rectangle of another quad, does not meet a second one at
+    the same distance. With the golden ratio, quads with similar numbers differ most.
+    """
+    return HEIGHT_RANGE * error * (quads * GOLDEN_RATIO % 1.0)
 
 
 def compute_cell_coordinates(level: Level, placement: AtlasPlacement, flat: np.ndarray, quads: np.ndarray) -> np.ndarray:

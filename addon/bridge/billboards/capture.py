@@ -25,6 +25,7 @@ from .atlas_meshes import (
     compute_placement,
     copy_materials,
     find_drawn_triangles,
+    separate_heights,
 )
 from .level_maps import LevelTextures, compute_maps
 from .silhouettes import SurfaceContinuation
@@ -91,6 +92,7 @@ def _add_meshes(work: RenderScene, source: Source, level: Level) -> tuple[list[C
     quads = np.repeat(np.arange(len(level.quads)), np.diff(level.quads.drawn_offsets))
     for drawn in find_drawn_triangles(source, level.quads.drawn, quads):
         world, flat = compute_atlas_positions(drawn, placement)
+        flat[..., 2] += separate_heights(drawn.quads, level.error)[:, None]
         cell_coordinates = compute_cell_coordinates(level, placement, flat, drawn.quads)
         clip = bool(np.abs(cell_coordinates).max() > 1.0)
         copy_material = partial(build_capture_material, error=level.error / unit, clip=clip, work=work)

@@ -14,6 +14,7 @@ from ...core.billboards.cloud import Level
 from ...core.imaging.images import MIN_ALPHA, dilate, grow_silhouette, mean_over_coverage, nearest_known, unpremultiply
 from ...core.imaging.metrics import encode_srgb
 from ..imaging.images import create_image
+from .atlas_meshes import separate_heights
 from .cloud_materials import COLOR, NORMAL, ROUGHNESS_METALLIC_DEPTH, create_cloud_material
 
 MIN_COSINE = 0.2  # Between a corner's normal and the quad's; with less a corner would face away.
@@ -66,8 +67,8 @@ def compute_maps(
     parameters = mean_over_coverage(roughness_metallic_depth, radius)
     parameters[..., 2] = parameters[..., 2] * 2.0 - 1.0
     for quad, chart in enumerate(level.charts):
-        if chart is not None:
-            parameters[(*_cell(level, quad), 2)] = 0.0
+        depths = parameters[(*_cell(level, quad), 2)]
+        depths -= depths if chart is not None else separate_heights(quad, 1.0)
     color = _fill_charts(np.clip(color, 0.0, None), level, uncovered)
     return PbrMaps(grow_silhouette(color, continuation, radius), directions.astype(np.float32), parameters)
 
