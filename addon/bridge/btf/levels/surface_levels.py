@@ -17,9 +17,9 @@ from ...billboards.level_maps import SHADOWLESS_ERRORS
 from ...billboards.level_objects import pbr_image, pbr_material, read_pbr_alpha, read_quad_flags
 from ...imaging.images import check_pixels, read_pixels
 from ...lod_crossfade import apply_to_materials
+from ...shading.shared_parameters import Value
 from ..materials.emission_material import LAYOUT, VERSION
 from ..materials.nodes.parallax_nodes import write_texel_axes
-from ..materials.shared_parameters import Value
 from ..materials.surface_material import DEFAULT_LIGHT_COVERAGE, SurfaceImages, build_surface_material, set_light_coverage
 from ..materials.texture_images import create_color_image, create_half_float_image, create_weight_images
 from .emission_levels import remove_suns, replace_pbr_material

@@ -24,10 +24,10 @@ from ...billboards.cloud_materials import (
     sample_map,
 )
 from ...shading.node_builder import NodeBuilder, SocketOrValue, create_group
+from ...shading.shared_parameters import Value, write_parameters
 from .emission_material import ALPHA_BASIS, ALPHA_WEIGHTS, EMISSION
 from .nodes.parallax_nodes import depth_uv
 from .nodes.table_nodes import map_uv, sample_image, sample_weights, weighted_scalar_sum
-from .shared_parameters import Value, write_parameters
 
 SHADOW_RAYS_LEAVE = "Shadow Rays Leave"  # Input of the group: 1 if shadow rays start at the shaded point, 0 if they start at the light.
 LIGHT_COVERAGE = "Light Coverage"  # Input of the group: 0 to 1, see `_light_alpha`.
