@@ -19,7 +19,7 @@ from ..geometry.meshes import Source
 from ..imaging.images import check_images
 from ..rendering.render_scene import RenderScene, prepare_channel_render, render_scene
 from ..shading.material_channels import CHANNELS, SEEN_THROUGH_GLASS, CaptureMaterial, build_capture_material
-from ..shading.surface_layers import TRANSMISSION, find_layers
+from ..shading.surface_layers import SUMMED_LAYERS, TRANSLUCENCY, TRANSMISSION, find_layers
 from .atlas_meshes import (
     add_atlas_mesh,
     compute_atlas_positions,
@@ -28,7 +28,7 @@ from .atlas_meshes import (
     copy_materials,
     find_drawn_triangles,
 )
-from .layer_maps import LayerMaps, compute_layer, separate_glass
+from .layer_maps import LayerMaps, compute_layer, separate_glass, shade_translucency
 from .level_maps import LevelTextures, compute_maps
 from .silhouettes import SurfaceContinuation
 
@@ -88,6 +88,11 @@ def _compute_layers(renders: Renders, layers: Sequence[str], level: Level) -> di
         for channel in SEEN_THROUGH_GLASS - {"color"}:
             if (side, channel) in renders:
                 renders[side, channel][..., 3] += through
+    if TRANSLUCENCY in layers:
+        depths = [renders[side, "roughness_metallic_depth"] for side in SIDES]
+        for side in SIDES:
+            if (side, TRANSLUCENCY) in renders:
+                renders[side, TRANSLUCENCY] = shade_translucency(renders[side, TRANSLUCENCY], *depths, level)
     found = {}
     for layer in layers:
         maps = compute_layer(layer, {side: renders[side, layer] for side in SIDES if (side, layer) in renders}, level)
@@ -97,8 +102,12 @@ def _compute_layers(renders: Renders, layers: Sequence[str], level: Level) -> di
 
 
 def _samples(channel: str, settings: BillboardSettings) -> int:
-    """Samples per texel. Alpha along the edge of a leaf is a mean over all samples; most other channels vary less and need fewer."""
-    return settings.samples if channel in ("color", TRANSMISSION) else max(min(settings.samples, MIN_SAMPLES), settings.samples // 4)
+    """Samples per texel. Alpha along the edge of a leaf, or light along that of a window, is a mean over all samples; most other channels vary less and need fewer."""
+    return (
+        settings.samples
+        if channel == "color" or channel in SUMMED_LAYERS
+        else max(min(settings.samples, MIN_SAMPLES), settings.samples // 4)
+    )
 
 
 def _unit(level: Level) -> float:

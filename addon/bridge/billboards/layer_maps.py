@@ -13,6 +13,7 @@ from ..imaging.images import create_image
 from ..shading.surface_layers import BLACK, COAT, DATA_LAYERS, DEFAULT_VALUES, HDR_LAYERS
 
 MIN_DIFFERENCE = 1.0 / 512.0  # Half a step of an 8-bit image: smaller ones cannot be seen.
+MAX_THICKNESS = 0.02  # of a leaf, relative to twice the error; nothing gets through twice that.
 MIN_COVERAGE = 0.1  # of texels whose values count; with less they are noisy.
 
 
@@ -49,6 +50,24 @@ def separate_glass(color: np.ndarray, transmission: np.ndarray) -> tuple[np.ndar
         np.concatenate([np.minimum(tint, coverage), coverage], axis=2),
         through,
     )
+
+
+def shade_translucency(render: np.ndarray, front_depth: np.ndarray, back_depth: np.ndarray, level: Level) -> np.ndarray:
+    """Return a `render` (H, W, 4) of the translucency, darkened where surfaces on the same quad keep the light from each other.
+
+    Light along the normal reaches a texel where both sides of the quad show the same surface, such as a leaf: where the depths in their
+    renders (H, W, 4) agree. Light at an angle passes other texels, so that the mean of the quad counts for it.
+    """
+    depths = [render[..., 2] / np.maximum(render[..., 3], MIN_ALPHA) for render in (front_depth, back_depth)]
+    free = np.clip(2.0 - np.abs(depths[0] - depths[1]) / MAX_THICKNESS, 0.0, 1.0)
+    shaded = render.copy()
+    shaded[..., :3] *= free[..., None]
+    for x, y, width, height in level.atlas.rectangles:
+        area = (slice(y, y + height), slice(x, x + width), slice(3))
+        total = float(render[area].sum())
+        if total > 0.0:
+            shaded[area] *= float(shaded[area].sum()) / total
+    return shaded
 
 
 def compute_layer(name: str, renders: Mapping[str, np.ndarray], level: Level) -> LayerMaps | None:
