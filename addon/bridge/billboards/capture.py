@@ -102,12 +102,11 @@ def _compute_layers(renders: Renders, layers: Sequence[str], level: Level) -> di
 
 
 def _samples(channel: str, settings: BillboardSettings) -> int:
-    """Samples per texel. Alpha along the edge of a leaf, or light along that of a window, is a mean over all samples; most other channels vary less and need fewer."""
-    return (
-        settings.samples
-        if channel == "color" or channel in SUMMED_LAYERS
-        else max(min(settings.samples, MIN_SAMPLES), settings.samples // 4)
-    )
+    """Samples per texel. Alpha along the edge of a leaf, or light along that of a window, is a mean over all samples; other channels vary
+    less and need fewer."""
+    if channel == "color" or channel in SUMMED_LAYERS:
+        return settings.samples
+    return max(min(settings.samples, MIN_SAMPLES), settings.samples // 4)
 
 
 def _unit(level: Level) -> float:

@@ -62,7 +62,7 @@ def create_cloud_material(
         for side, value in sample_layer(builder, layer, shown).items():
             builder.connect(value, group.inputs[f"{side} {layer.title()}"])
         if layer in HDR_LAYERS:
-            group.inputs[_strength_name(layer)].default_value = shown.scale
+            group.inputs[strength_name(layer)].default_value = shown.scale
     for parameter, value in parameters.items():
         builder.connect(value, group.inputs[parameter])
     builder.arrange()
@@ -77,7 +77,8 @@ def sample_layer(builder: NodeBuilder, layer: str, shown: ShownLayer) -> dict[st
     return {side: colors.get(side, colors[SIDES[0]]) for side in SIDES}
 
 
-def _strength_name(layer: str) -> str:
+def strength_name(layer: str) -> str:
+    """Return the name of the input of the group with the scale of one of HDR_LAYERS."""
     return f"{layer.title()} Strength"
 
 
@@ -124,7 +125,7 @@ def _cloud_group(layers: tuple[str, ...], parameters: Mapping[str, Value]) -> bp
     per_side = [(COLOR, "Color"), ("Alpha", "Float"), (NORMAL, "Color"), (ROUGHNESS_METALLIC_DEPTH, "Color")]
     per_side += [(layer.title(), "Color") for layer in layers]
     inputs = [(f"{side} {name}", socket_type) for side in SIDES for name, socket_type in per_side]
-    inputs += [(SHADOWLESS_DISTANCE, "Float"), *((_strength_name(layer), "Float") for layer in layers if layer in HDR_LAYERS)]
+    inputs += [(SHADOWLESS_DISTANCE, "Float"), *((strength_name(layer), "Float") for layer in layers if layer in HDR_LAYERS)]
     inputs += [(name, "Float" if isinstance(value, float) else "Color") for name, value in parameters.items()]
 
     def fill(builder: NodeBuilder) -> None:
@@ -146,7 +147,7 @@ def _fill_group(builder: NodeBuilder, layers: tuple[str, ...], parameters: tuple
         if name in shader.inputs:  # other versions of Blender may have others
             builder.connect(inputs[name], shader.inputs[name])
     values = {layer: sides[layer.title()] for layer in layers}
-    scales = {layer: inputs[_strength_name(layer)] for layer in layers if layer in HDR_LAYERS}
+    scales = {layer: inputs[strength_name(layer)] for layer in layers if layer in HDR_LAYERS}
     builder.connect(add_layers(builder, shader, values, scales), builder.node("NodeGroupOutput").inputs["BSDF"])
 
 
