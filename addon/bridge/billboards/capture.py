@@ -83,7 +83,7 @@ def _list_passes(level: Level, layers: Sequence[str]) -> list[tuple[str, str]]:
 def _compute_layers(renders: Renders, layers: Sequence[str], level: Level) -> dict[str, LayerMaps]:
     """Compute the layers of a level, and correct the coverage of its `renders` where they show glass."""
     for side in SIDES if TRANSMISSION in layers else ():
-        separated = separate_glass(renders[side, "color"], renders[side, TRANSMISSION])
+        separated = separate_glass(renders[side, "color"], renders[side, TRANSMISSION], level)
         renders[side, "color"], renders[side, TRANSMISSION], through = separated
         for channel in SEEN_THROUGH_GLASS - {"color"}:
             if (side, channel) in renders:

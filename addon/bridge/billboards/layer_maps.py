@@ -14,6 +14,7 @@ from ..shading.surface_layers import BLACK, COAT, DATA_LAYERS, DEFAULT_VALUES, H
 
 MIN_DIFFERENCE = 1.0 / 512.0  # Half a step of an 8-bit image: smaller ones cannot be seen.
 MAX_THICKNESS = 0.02  # of a leaf, relative to twice the error; nothing gets through twice that.
+MAX_PANES = 8.0  # that lie behind each other on one quad
 MIN_COVERAGE = 0.1  # of texels whose values count; with less they are noisy.
 
 
@@ -33,23 +34,26 @@ class LayerMaps:
     constant: tuple[float, float, float] | None = None
 
 
-def separate_glass(color: np.ndarray, transmission: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def separate_glass(color: np.ndarray, transmission: np.ndarray, level: Level) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Separate what glass lets through from two renders (H, W, 4): `color`, in which glass is transparent, and `transmission`, in which
     it is opaque.
 
-    Returns the color with the coverage of all surfaces including glass, the transmission weighted with it, and the mean (H, W) of the
-    latter. Several panes that lie behind each other let through their product.
+    Returns the color with the coverage of all surfaces including glass, the transmission weighted with it, and the mean (H, W) by which
+    the latter made the color transparent. Several panes behind each other let through their product; the backs of solids are not seen, so
+    that their fronts stand for both.
     """
-    through = np.clip(transmission[..., 3] - color[..., 3], 0.0, 1.0)
-    through[through < MIN_DIFFERENCE] = 0.0
-    mean = transmission[..., :3].mean(axis=2)
-    tint = transmission[..., :3] * (through / np.maximum(mean, MIN_ALPHA))[..., None]
     coverage = transmission[..., 3:]
-    return (
-        np.concatenate([color[..., :3], coverage], axis=2),
-        np.concatenate([np.minimum(tint, coverage), coverage], axis=2),
-        through,
-    )
+    through = np.clip(coverage[..., 0] - color[..., 3], 0.0, 1.0)
+    through[through < MIN_DIFFERENCE] = 0.0
+    tint = np.clip(transmission[..., :3] / np.maximum(coverage, MIN_ALPHA), MIN_ALPHA, 1.0)
+    mean = np.clip(through / np.maximum(coverage[..., 0], MIN_ALPHA), MIN_ALPHA, 1.0)
+    panes = np.clip(np.log(mean) / np.minimum(np.log(tint.mean(axis=2)), -MIN_DIFFERENCE), 1.0, MAX_PANES)
+    product = tint ** panes[..., None]
+    product *= np.where(through > 0.0, mean / product.mean(axis=2), 0.0)[..., None]
+    for x, y, width, height in level.atlas.rectangles[level.solid]:
+        product[y : y + height, x : x + width] **= 2
+    whole = np.concatenate([color[..., :3], coverage], axis=2)
+    return whole, np.concatenate([np.clip(product, 0.0, 1.0) * coverage, coverage], axis=2), through
 
 
 def shade_translucency(render: np.ndarray, front_depth: np.ndarray, back_depth: np.ndarray, level: Level) -> np.ndarray:

@@ -52,21 +52,31 @@ def find_layers(materials: Sequence[bpy.types.Material]) -> tuple[tuple[str, ...
         if _transmits(node):
             found |= _transmitted_layers(node)
     shared = read_shared_parameters(materials)
-    constants = {name: shared[name] for name in ("Diffuse Roughness",) if shared.get(name)}
     principled = [node for node in nodes if node.type == PRINCIPLED]
+    constants = {name: shared[name] for name in ("Diffuse Roughness",) if shared.get(name)}
     for layer, inputs in INPUTS.items():
         if any(_has_layer(node, layer) for node in principled):
-            is_shared = all(name in shared for name in inputs)
-            constants |= {name: shared[name] for name in inputs} if is_shared else {}
-            found |= set() if is_shared else {layer}
-            constants |= {name: shared[name] for name in ("Coat IOR", "Coat Tint") if layer == COAT and name in shared}
+            if all(name in shared for name in inputs):
+                constants |= {name: shared[name] for name in inputs}
+            else:
+                found.add(layer)
+    if _are_set(principled, "Coat Weight"):
+        usual = {"Coat IOR": 1.5, "Coat Tint": 1.0}
+        constants |= {name: shared[name] for name, value in usual.items() if name in shared and not _is_close(shared[name], value)}
     return tuple(layer for layer in LAYERS if layer in found), constants
+
+
+def _are_set(nodes: Sequence[bpy.types.Node], name: str) -> bool:
+    return any(node.inputs[name].is_linked or node.inputs[name].default_value > 0.0 for node in nodes if name in node.inputs)
 
 
 def _has_layer(node: bpy.types.Node, layer: str) -> bool:
     """Return whether an input of a Principled shader may make it have `layer`."""
-    inputs = [(node.inputs.get(name), usual) for name, usual in INPUTS[layer].items() if usual is not None]
-    return any(item is not None and (item.is_linked or not _is_close(item.default_value, usual)) for item, usual in inputs)
+    inputs = {name: node.inputs.get(name) for name, usual in INPUTS[layer].items() if usual is not None}
+    if layer == COAT and not _are_set([node], "Sheen Weight"):
+        del inputs["Sheen Roughness"]
+    present = {name: item for name, item in inputs.items() if item is not None}
+    return any(item.is_linked or not _is_close(item.default_value, INPUTS[layer][name]) for name, item in present.items())
 
 
 def _is_close(value: float | Sequence[float], usual: float) -> bool:
