@@ -20,7 +20,7 @@ from ..gltf_export import export_gltf, finite_properties
 from ..imaging.images import create_image, find_images, read_pixels
 from ..shading.node_builder import NodeBuilder
 from ..shading.surface_layers import EMISSION, TRANSLUCENCY, TRANSMISSION
-from .cloud_materials import FRONT_COLOR, FRONT_NORMAL, SIDES
+from .cloud_materials import FRONT_COLOR, FRONT_NORMAL, FRONT_ROUGHNESS_METALLIC_DEPTH, SIDES
 from .clouds import CORNER_NORMALS
 from .level_objects import pbr_image, read_layer_pixels, read_layers, read_level_texels
 
@@ -198,15 +198,21 @@ def _connect_layers(nodes: NodeBuilder, shader: bpy.types.Node, level: bpy.types
             color = nodes.node("ShaderNodeTexImage", {"image": emission.images[SIDES[0]], "extension": "EXTEND"}).outputs["Color"]
         nodes.connect(color, shader.inputs["Emission Color"])
         shader.inputs["Emission Strength"].default_value = emission.scale
-    color_image = front_color_image(level)
-    if TRANSMISSION in layers and color_image is not None:
+    color_image, parameters = front_color_image(level), pbr_image(level, FRONT_ROUGHNESS_METALLIC_DEPTH)
+    if TRANSMISSION in layers and color_image is not None and parameters is not None:
         through = read_layer_pixels(layers[TRANSMISSION], SIDES[0]).mean(axis=2)
         others = [read_layer_pixels(layers[name], SIDES[0]).mean(axis=2) for name in (TRANSLUCENCY,) if name in layers]
         total = decode_srgb(read_pixels(color_image)[..., :3]).mean(axis=2) + through + sum(others)
-        weight = np.repeat((through / np.maximum(total, 1e-6))[..., None], 4, axis=2)
-        image = create_image(f"{level.name} Transmission", np.clip(weight, 0.0, 1.0), is_data=True)
-        texture = nodes.node("ShaderNodeTexImage", {"image": image, "extension": "EXTEND"})
-        nodes.connect(nodes.separate_color(texture.outputs["Color"])[0], shader.inputs["Transmission Weight"])
+        pixels = np.zeros((*total.shape, 4), np.float32)
+        pixels[..., 0], pixels[..., 3] = np.clip(through / np.maximum(total, 1e-6), 0.0, 1.0), 1.0
+        # Only glass has highlights: it would blur what is behind it.
+        pixels[..., 1] = np.where(pixels[..., 0] > 0.0, read_pixels(parameters)[..., 0], 1.0)
+        image = create_image(f"{level.name} Transmission", pixels, is_data=True)
+        weight, roughness, _ = nodes.separate_color(
+            nodes.node("ShaderNodeTexImage", {"image": image, "extension": "EXTEND"}).outputs["Color"]
+        )
+        nodes.connect(weight, shader.inputs["Transmission Weight"])
+        nodes.connect(roughness, shader.inputs["Roughness"])
 
 
 def _create_export_material(level: bpy.types.Object, normals: np.ndarray | None) -> bpy.types.Material:
