@@ -221,18 +221,17 @@ def test_losses_are_named_per_material():
     glass, smoke = principled("Glass", Transmission_Weight=1.0, Roughness=0.0), principled("Smoke", Anisotropic=0.5)
     volume = smoke.node_tree.nodes.new("ShaderNodeVolumePrincipled")
     blender_scenes.link(smoke, volume.outputs[0], smoke.node_tree.nodes["Material Output"].inputs["Volume"])
-    objects = [
-        blender_scenes.ball("Lamp", glass),
-        blender_scenes.box("Fire", smoke),
-        blender_scenes.box("Box", principled("Plain")),
-        card_at(0.0, glass),
-    ]
+    for name in ("Glass", "Smoke"):
+        shader = blender_scenes.shader_of(bpy.data.materials[name])
+        shader.inputs["Coat Weight"].default_value, shader.inputs["Coat Tint"].default_value = 1.0, (1.0, 0.5, 0.5, 1.0)
+    box, pane = blender_scenes.box("Box", principled("Plain")), card_at(0.0, glass)
+    objects = [blender_scenes.ball("Lamp", glass), blender_scenes.box("Fire", smoke), box, pane]
     bpy.context.view_layer.update()
     assert describe_source_losses(blender_scenes.read_objects(*objects)) == [
-        '"Glass" of "Lamp": its refraction is left out.',
-        '"Smoke" of "Fire": its volume and anisotropy are left out.',
+        '"Glass" of "Lamp": its coat tint and refraction are left out.',
+        '"Smoke" of "Fire": its volume, anisotropy and coat tint are left out.',
     ]
-    assert describe_source_losses(blender_scenes.read_objects(pane)) == []  # A pane does not refract.
+    assert describe_source_losses(blender_scenes.read_objects(pane)) == []  # Panes do not refract.
 
 
 def test_glb_has_light_and_glass(tmp_path):

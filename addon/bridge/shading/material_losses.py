@@ -1,11 +1,11 @@
 """What a capture of a material leaves out, one sentence per material."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 
 import bpy
 
 from .node_builder import nodes_in
-from .surface_layers import PRINCIPLED, REFRACTIVE
+from .surface_layers import PRINCIPLED, REFRACTIVE, find_layers, lost_coat_inputs
 from .surface_reader import find_output
 
 # Nodes that need the scene around the shaded point, or the camera, and their outputs, "" for any.
@@ -28,14 +28,14 @@ SHADERS = {
 }
 
 
-def describe_losses(materials: Mapping[bpy.types.Material, str], thick: Iterable[bpy.types.Material] = ()) -> list[str]:
+def describe_losses(materials: Mapping[bpy.types.Material, str], thick: Container[bpy.types.Material] = ()) -> list[str]:
     """Return sentences about what a capture of `materials` leaves out. Their values are the names of objects that have them.
 
     thick: those with glass on solid bodies.
     """
-    sentences = []
+    sentences, (_, shared) = [], find_layers(list(materials))
     for material, owner in materials.items():
-        losses = list(dict.fromkeys(_find_losses(material)))
+        losses = list(dict.fromkeys(_find_losses(material, shared)))
         if material in thick and is_glass(material):
             losses.append("refraction")
         if losses:
@@ -44,7 +44,7 @@ def describe_losses(materials: Mapping[bpy.types.Material, str], thick: Iterable
     return sentences
 
 
-def _find_losses(material: bpy.types.Material) -> Iterator[str]:
+def _find_losses(material: bpy.types.Material, shared: Container[str]) -> Iterator[str]:
     tree = material.node_tree
     output = None if tree is None else find_output(tree)
     if output is None:
@@ -65,6 +65,8 @@ def _find_losses(material: bpy.types.Material) -> Iterator[str]:
             yield f'attribute "{node.attribute_name}" of instances'
         if node.type == PRINCIPLED:
             yield from (label for name, label in WEIGHTS.items() if _is_set(node, name))
+            if _is_set(node, "Coat Weight"):
+                yield from (name.replace("Coat", "coat").replace("Tint", "tint") for name in lost_coat_inputs(node) if name not in shared)
 
 
 def _is_set(node: bpy.types.Node, name: str) -> bool:

@@ -35,6 +35,7 @@ INPUTS = {
     COAT: {"Coat Weight": 0.0, "Coat Roughness": None, "Sheen Roughness": 0.5},
     SHEEN: {"Sheen Weight": 0.0, "Sheen Tint": None},
 }
+COAT_CONSTANTS = {"Coat IOR": 1.5, "Coat Tint": 1.0}  # Inputs of the coat that no layer has, with their usual values.
 MIN_REFLECTANCE = 0.04  # At normal incidence, for the refractive index 1.5.
 CLEAR_ROUGHNESS, FROSTED_ROUGHNESS = 0.1, 0.5  # Glass shows what is behind it up to the first one, and only its light from the second on.
 
@@ -61,9 +62,18 @@ def find_layers(materials: Sequence[bpy.types.Material]) -> tuple[tuple[str, ...
             else:
                 found.add(layer)
     if _are_set(principled, "Coat Weight"):
-        usual = {"Coat IOR": 1.5, "Coat Tint": 1.0}
-        constants |= {name: shared[name] for name, value in usual.items() if name in shared and not _is_close(shared[name], value)}
+        constants |= {name: shared[name] for name, usual in COAT_CONSTANTS.items() if name in shared and not _is_close(shared[name], usual)}
     return tuple(layer for layer in LAYERS if layer in found), constants
+
+
+def lost_coat_inputs(node: bpy.types.Node) -> list[str]:
+    """Return the names of the inputs of a Principled shader that change its coat, and that no layer has."""
+    inputs = {name: node.inputs.get(name) for name in COAT_CONSTANTS}
+    return [
+        name
+        for name, item in inputs.items()
+        if item is not None and (item.is_linked or not _is_close(item.default_value, COAT_CONSTANTS[name]))
+    ]
 
 
 def _are_set(nodes: Sequence[bpy.types.Node], name: str) -> bool:
