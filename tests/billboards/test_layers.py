@@ -50,7 +50,7 @@ def with_shader(name, node_type, wiring="plain", **values):
     material = principled(name)
     tree, output = material.node_tree, material.node_tree.nodes["Material Output"].inputs["Surface"]
     shader = blender_scenes.shader_of(material).outputs[0]
-    inner = tree if wiring != "grouped" else bpy.data.node_groups.new("Lamp", "ShaderNodeTree")
+    inner = tree if wiring != "grouped" else bpy.data.node_groups.new("Light", "ShaderNodeTree")
     node = inner.nodes.new(node_type)
     for key, value in values.items():
         node.inputs[key].default_value = value
@@ -119,7 +119,7 @@ def test_strengths_of_lights_keep_their_ratio():
 
 @pytest.mark.parametrize("wiring, color, emission", [("plain", 0.0, 4.0), ("grouped", 0.0, 4.0), ("mixed", 0.5, 2.0), ("added", 1.0, 4.0)])
 def test_emission_shaders_are_no_base_color(wiring, color, emission):
-    material = with_shader("Lamp", "ShaderNodeEmission", wiring, Color=(1.0, 1.0, 1.0, 1.0), Strength=4.0)
+    material = with_shader("Light", "ShaderNodeEmission", wiring, Color=(1.0, 1.0, 1.0, 1.0), Strength=4.0)
     _, _, (textures,) = capture(blender_scenes.box(material=material))
     layer = textures.layers["emission"]
     assert not layer.sides
@@ -128,7 +128,7 @@ def test_emission_shaders_are_no_base_color(wiring, color, emission):
     assert textures.front.color[covered][:, :3] == pytest.approx(np.tile(color * np.array([0.2, 0.4, 0.6]), (covered.sum(), 1)), abs=2e-3)
 
 
-def test_translucent_leaves_share_their_light_between_both_closures():
+def test_translucency_of_leaves_is_no_base_color():
     material = with_shader("Leaf", "ShaderNodeBsdfTranslucent", "mixed", Color=(0.8, 0.6, 0.0, 1.0))
     source, cloud, (textures,) = capture(card_at(0.0, material))
     assert textures.layers.keys() == {"translucency"}
@@ -186,7 +186,7 @@ def test_coats_sheen_and_highlights_that_differ_are_maps():
     assert values_at(level, textures, "specular", 3.0) == pytest.approx([1.0] * 3, abs=2e-3)
 
 
-def test_objects_that_share_a_material_keep_their_own_color():
+def test_color_and_attributes_of_objects_with_one_material():
     material = principled("Shared")
     info, attribute = (material.node_tree.nodes.new(kind) for kind in ("ShaderNodeObjectInfo", "ShaderNodeAttribute"))
     attribute.attribute_type, attribute.attribute_name = "OBJECT", "glow"
@@ -225,23 +225,23 @@ def test_losses_are_named_per_material():
         shader = blender_scenes.shader_of(bpy.data.materials[name])
         shader.inputs["Coat Weight"].default_value, shader.inputs["Coat Tint"].default_value = 1.0, (1.0, 0.5, 0.5, 1.0)
     box, pane = blender_scenes.box("Box", principled("Plain")), card_at(0.0, glass)
-    objects = [blender_scenes.ball("Lamp", glass), blender_scenes.box("Fire", smoke), box, pane]
+    objects = [blender_scenes.ball("Light", glass), blender_scenes.box("Fire", smoke), box, pane]
     bpy.context.view_layer.update()
     assert describe_source_losses(blender_scenes.read_objects(*objects)) == [
-        '"Glass" of "Lamp": its coat tint and refraction are left out.',
+        '"Glass" of "Light": its coat tint and refraction are left out.',
         '"Smoke" of "Fire": its volume, anisotropy and coat tint are left out.',
     ]
     assert describe_source_losses(blender_scenes.read_objects(pane)) == []  # Panes do not refract.
 
 
 def test_glb_has_light_and_glass(tmp_path):
-    lamp = principled("Lamp", Emission_Color=(1.0, 0.5, 0.25, 1.0), Emission_Strength=5.0)
+    light = principled("Light", Emission_Color=(1.0, 0.5, 0.25, 1.0), Emission_Strength=5.0)
     glass = principled("Glass", Transmission_Weight=1.0, Roughness=0.0)
-    level = create_level(*capture(card_at(0.0, lamp), card_at(3.0, glass)))
+    level = create_level(*capture(card_at(0.0, light), card_at(3.0, glass)))
     before = blender_scenes.count_data()
-    write_glb([level], tmp_path / "lamp.glb")
+    write_glb([level], tmp_path / "light.glb")
     assert blender_scenes.count_data() == before
-    (material,) = read_glb(tmp_path / "lamp.glb").document["materials"]
+    (material,) = read_glb(tmp_path / "light.glb").document["materials"]
     assert material["extensions"]["KHR_materials_emissive_strength"]["emissiveStrength"] == pytest.approx(5.0, rel=1e-3)
     assert "emissiveTexture" in material
     assert "transmissionTexture" in material["extensions"]["KHR_materials_transmission"]

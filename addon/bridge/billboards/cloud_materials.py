@@ -12,7 +12,7 @@ from ..shading.shared_parameters import Value
 from ..shading.surface_layers import COAT, EMISSION, HDR_LAYERS, SHEEN, SPECULAR, TRANSLUCENCY, TRANSMISSION
 
 GROUP_NAME = "Farfield Cloud"
-GROUP_VERSION = 1  # of materials without layers
+GROUP_VERSION = 1  # Materials without layers have this one.
 LAYER_GROUP_VERSION = 2
 JOINED_ATTRIBUTE = "farfield_joined"  # Per face: 1 if the quad shows part of a surface that continues on other quads.
 SOLID_ATTRIBUTE = "farfield_solid"  # Per face: 1 if no camera sees the back, because it is the inside of a solid.

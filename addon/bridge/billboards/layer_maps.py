@@ -13,9 +13,9 @@ from ..imaging.images import create_image
 from ..shading.surface_layers import BLACK, COAT, DATA_LAYERS, DEFAULT_VALUES, HDR_LAYERS
 
 MIN_DIFFERENCE = 1.0 / 512.0  # Half a step of an 8-bit image: smaller ones cannot be seen.
-MAX_THICKNESS = 0.02  # of a leaf, relative to twice the error; nothing gets through twice that.
-MAX_PANES = 8.0  # that lie behind each other on one quad
-MIN_COVERAGE = 0.1  # of texels whose values count; with less they are noisy.
+MAX_THICKNESS = 0.02  # Of a leaf, relative to twice the error; nothing gets through twice that.
+MAX_PANES = 8.0  # Largest number of panes behind each other on one quad.
+MIN_COVERAGE = 0.1  # Of texels whose values count; with less they are noisy.
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,15 +45,15 @@ def separate_glass(color: np.ndarray, transmission: np.ndarray, level: Level) ->
     coverage = transmission[..., 3:]
     through = np.clip(coverage[..., 0] - color[..., 3], 0.0, 1.0)
     through[through < MIN_DIFFERENCE] = 0.0
-    tint = np.clip(transmission[..., :3] / np.maximum(coverage, MIN_ALPHA), MIN_ALPHA, 1.0)
+    pane_color = np.clip(transmission[..., :3] / np.maximum(coverage, MIN_ALPHA), MIN_ALPHA, 1.0)
     mean = np.clip(through / np.maximum(coverage[..., 0], MIN_ALPHA), MIN_ALPHA, 1.0)
-    panes = np.clip(np.log(mean) / np.minimum(np.log(tint.mean(axis=2)), -MIN_DIFFERENCE), 1.0, MAX_PANES)
-    product = tint ** panes[..., None]
+    panes = np.clip(np.log(mean) / np.minimum(np.log(pane_color.mean(axis=2)), -MIN_DIFFERENCE), 1.0, MAX_PANES)
+    product = pane_color ** panes[..., None]
     product *= np.where(through > 0.0, mean / product.mean(axis=2), 0.0)[..., None]
     for x, y, width, height in level.atlas.rectangles[level.solid]:
         product[y : y + height, x : x + width] **= 2
-    whole = np.concatenate([color[..., :3], coverage], axis=2)
-    return whole, np.concatenate([np.clip(product, 0.0, 1.0) * coverage, coverage], axis=2), through
+    opaque_color = np.concatenate([color[..., :3], coverage], axis=2)
+    return opaque_color, np.concatenate([np.clip(product, 0.0, 1.0) * coverage, coverage], axis=2), through
 
 
 def shade_translucency(render: np.ndarray, front_depth: np.ndarray, back_depth: np.ndarray, level: Level) -> np.ndarray:

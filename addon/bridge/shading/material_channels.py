@@ -63,9 +63,15 @@ class Channels:
 
 @dataclass(frozen=True)
 class CaptureMaterial:
-    """A material copy that shows one channel at a time by the node `emission`; `transparent` lets the background through.
+    """A material copy that shows one channel at a time.
 
-    opaque, clear: the color of `transparent` where glass counts as opaque, and where it lets light through.
+    Attributes:
+        material: The copy.
+        emission: The node that emits the channel.
+        transparent: The node that lets the background through.
+        channels: What can be emitted.
+        opaque: The color of `transparent` where glass counts as opaque.
+        clear: The color of `transparent` where glass lets light through.
     """
 
     material: bpy.types.Material

@@ -154,11 +154,11 @@ class LayerValues:
         frosted = builder.math("MULTIPLY", weight, builder.math("ADD", scaled, 0.0, clamp=True))
         clear = builder.math("SUBTRACT", weight, frosted)
         # A pane has two sides, which color the light by their product.
-        tint = builder.vector("POWER", builder.vector("MAXIMUM", color, BLACK), (0.5, 0.5, 0.5))
+        pane_color = builder.vector("POWER", builder.vector("MAXIMUM", color, BLACK), (0.5, 0.5, 0.5))
         diffuse = builder.vector("SCALE", color, frosted)
         return {
             TRANSLUCENCY: (diffuse, diffuse),
-            TRANSMISSION: (builder.vector("SCALE", color, clear), builder.vector("SCALE", tint, clear)),
+            TRANSMISSION: (builder.vector("SCALE", color, clear), builder.vector("SCALE", pane_color, clear)),
         }
 
     def _read_emission(self) -> SocketOrValue:

@@ -49,9 +49,9 @@ def read_two_sided_texels(level_object: bpy.types.Object, texels: Texels) -> Two
     def read_side(side: str) -> np.ndarray:
         color, normal = (read_pixels(images[side, name])[rows, columns, :3] for name in (COLOR, NORMAL))
         # The views of the source show the whole color, also that of the light which leaves and glass let through.
-        whole = decode_srgb(color) + sum(read_layer_pixels(layer, side)[rows, columns] for layer in layers if layer.images)
-        whole += sum(read_layer_pixels(layer, side)[0, 0] for layer in layers if not layer.images)
-        return np.column_stack([whole, normal]).astype(np.float32)
+        color_sum = decode_srgb(color) + sum(read_layer_pixels(layer, side)[rows, columns] for layer in layers if layer.images)
+        color_sum += sum(read_layer_pixels(layer, side)[0, 0] for layer in layers if not layer.images)
+        return np.column_stack([color_sum, normal]).astype(np.float32)
 
     return TwoSidedTexels(
         texels, *map(read_side, SIDES), read_pbr_alpha(level_object, texels), read_quad_flags(level_object, SOLID_ATTRIBUTE)
