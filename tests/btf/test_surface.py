@@ -15,8 +15,8 @@ from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
 from farfield.addon.bridge.btf.levels.decode import is_upper_hemisphere, read_relightable_texture
 from farfield.addon.bridge.btf.levels.surface_levels import check_maps
 from farfield.addon.bridge.btf.materials.emission_material import sun_color_property
-from farfield.addon.bridge.btf.materials.shared_parameters import read_shared_parameters
 from farfield.addon.bridge.shading.node_builder import nodes_in
+from farfield.addon.bridge.shading.shared_parameters import read_shared_parameters
 from farfield.addon.core.errors import FileError, GeometryError
 from farfield.addon.core.imaging import metrics
 from farfield.addon.core.jobs.progress import run_to_end

@@ -17,10 +17,22 @@ from ...core.geometry.mesh import connected_components
 from ...core.geometry.transforms import is_mirroring, normalize
 from ..geometry.evaluated_mesh import EvaluatedMesh
 from ..geometry.mesh_arrays import write_attribute, write_triangles
-from ..geometry.meshes import Source, find_material
+from ..geometry.meshes import Source, SourceInstance, find_material
 from ..rendering.render_scene import RenderScene
 from ..shading.material_channels import CELL_COORDINATES
-from ..shading.scene_space_nodes import GENERATED, ISLAND, LOCATION, OBJECT, OBJECT_AXES, POSITION, QUAD_AXES, RANDOM, required_attributes
+from ..shading.scene_space_nodes import (
+    GENERATED,
+    ISLAND,
+    LOCATION,
+    OBJECT,
+    OBJECT_AXES,
+    OBJECT_VALUE,
+    POSITION,
+    QUAD_AXES,
+    RANDOM,
+    read_object_value,
+    required_attributes,
+)
 
 Copy = TypeVar("Copy")
 HEIGHT_RANGE = 0.01  # In errors. The depth that is captured is corrected by it.
@@ -79,6 +91,7 @@ class DrawnTriangles:
         instances: (K,) int, indices into the source's instances.
         matrices: (P, 4, 4) of the instances.
         instance_randoms: (P,) random numbers of the instances, 0 to 1.
+        sources: the P instances.
     """
 
     mesh: EvaluatedMesh
@@ -88,6 +101,7 @@ class DrawnTriangles:
     instances: np.ndarray
     matrices: np.ndarray
     instance_randoms: np.ndarray
+    sources: Sequence[SourceInstance]
 
     @property
     def corner_order(self) -> np.ndarray:
@@ -117,7 +131,7 @@ def find_drawn_triangles(source: Source, primitives: np.ndarray, quads: np.ndarr
             triangles = (local[selected][:, None] * len(fan) + fan).ravel()
             per_triangle = (np.repeat(values[selected], len(fan)) for values in (primitives, quads, instances))
             primitive_of, quad_of, instance_of = per_triangle
-            drawn.append(DrawnTriangles(mesh, primitive_of, triangles, quad_of, instance_of, matrices, instance_randoms))
+            drawn.append(DrawnTriangles(mesh, primitive_of, triangles, quad_of, instance_of, matrices, instance_randoms, source.instances))
     return drawn
 
 
@@ -227,7 +241,18 @@ def _scene_space_attributes(
         compute[name] = lambda index=index: _to_corners(placement.axes[drawn.quads, index])
     for index, name in enumerate(OBJECT_AXES):
         compute[name] = lambda index=index: _to_corners(object_axes[drawn.instances, :, index])
+    for name in required:
+        if name.startswith(OBJECT_VALUE):
+            compute[name] = lambda name=name: _to_corners(_object_values(drawn.sources, name.removeprefix(OBJECT_VALUE))[drawn.instances])
     return {name: function() for name, function in compute.items() if name in required}
+
+
+def _object_values(instances: Sequence[SourceInstance], name: str) -> np.ndarray:
+    """Return what materials read as `name` of the object of each of the P `instances`, (P, 4); 0 for objects that were removed."""
+    by_uid = {item.session_uid: item for item in bpy.data.objects}
+    objects = [bpy.data.objects.get(instance.part) if instance.part else by_uid.get(instance.object_uid) for instance in instances]
+    values = {item: (0.0,) * 4 if item is None else read_object_value(item, name) for item in dict.fromkeys(objects)}
+    return np.array([values[item] for item in objects])
 
 
 def _to_corners(values: np.ndarray) -> np.ndarray:

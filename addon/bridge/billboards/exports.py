@@ -1,6 +1,7 @@
 """Export of a cloud's levels for programs without Blender's nodes: color, alpha and normals on simple quads."""
 
 import os
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -14,15 +15,19 @@ from ...core.files.filenames import safe_filename, unique_filenames
 from ...core.files.outputs import OBJ_COMMENT
 from ...core.geometry.transforms import transform_points
 from ...core.imaging.images import dilate
+from ...core.imaging.metrics import decode_srgb, encode_srgb
 from ...core.messages import describe_lacking
 from ..geometry.mesh_arrays import read_loop_vertices, read_positions, read_uvs, read_values, write_attribute
 from ..gltf_export import export_gltf, finite_properties
-from ..imaging.images import create_image, read_pixels
-from .cloud_materials import FRONT_COLOR, FRONT_NORMAL
+from ..imaging.images import create_image, find_images, read_pixels
+from ..shading.node_builder import NodeBuilder
+from ..shading.surface_layers import EMISSION, TRANSLUCENCY, TRANSMISSION
+from .cloud_materials import FRONT_COLOR, FRONT_NORMAL, FRONT_ROUGHNESS_METALLIC_DEPTH, SIDES
 from .clouds import CORNER_NORMALS
-from .level_objects import labeled_image, pbr_image, read_face_quads, read_level_texels
+from .level_objects import pbr_image, read_face_quads, read_layer_pixels, read_layers, read_level_texels
 
 GLB_OPTIONS = {"export_format": "GLB", "use_selection": True, "export_extras": True, "export_image_format": "AUTO"}
+FOLDED_LAYERS = (TRANSLUCENCY, TRANSMISSION)  # The exported color has what these let through, as that of the source.
 FLAT_NORMAL = np.float32([0.0, 0.0, 1.0])  # In tangent space.
 
 
@@ -41,7 +46,10 @@ def write_obj(levels: list[bpy.types.Object], path: Path) -> None:
         image = front_color_image(level)
         if image is not None:
             image_name = f"{mtl.stem}_{name}.png"
-            path.with_name(image_name).write_bytes(image.packed_file.data)
+            shown = compose_color(level, image, (*FOLDED_LAYERS, EMISSION))
+            path.with_name(image_name).write_bytes(shown.packed_file.data)
+            if shown != image:
+                bpy.data.images.remove(shown)
             materials += [f"map_Kd {image_name}", f"map_d {image_name}"]
         shapes += [f"o {name}", *_format_shape(level, name, first_vertex, first_loop)]
         first_vertex, first_loop = first_vertex + len(level.data.vertices), first_loop + len(level.data.loops)
@@ -72,6 +80,7 @@ def write_glb(levels: list[bpy.types.Object], path: Path) -> list[str]:
     for item in selected:
         item.select_set(False)
     copies: list[bpy.types.Object] = []
+    kept = set(bpy.data.images)
     owners: dict[bpy.types.ID, str] = {}
     try:
         for level in levels:
@@ -85,11 +94,11 @@ def write_glb(levels: list[bpy.types.Object], path: Path) -> list[str]:
     finally:
         for copy in copies:
             material = copy.data.materials[0]
-            normal_map = labeled_image(material, FRONT_NORMAL)
             bpy.data.meshes.remove(copy.data)
+            created = [image for image in find_images([material]) if image not in kept]
             bpy.data.materials.remove(material)
-            if normal_map is not None:
-                bpy.data.images.remove(normal_map)
+            for image in created:
+                bpy.data.images.remove(image)
         for item in selected:
             item.select_set(True)
         layer.objects.active = active
@@ -172,7 +181,7 @@ def create_plain_mesh(level: bpy.types.Object) -> bpy.types.Mesh:
     normals = compute_tangent_normals(level)
     mesh = level.data.copy()
     mesh.materials.clear()
-    mesh.materials.append(_create_export_material(level.name, front_color_image(level), normals))
+    mesh.materials.append(_create_export_material(level, normals))
     if normals is not None and CORNER_NORMALS in mesh.attributes:
         mesh.attributes.remove(mesh.attributes[CORNER_NORMALS])
         quads = read_face_quads(mesh)
@@ -182,8 +191,46 @@ def create_plain_mesh(level: bpy.types.Object) -> bpy.types.Mesh:
     return mesh
 
 
-def _create_export_material(name: str, image: bpy.types.Image | None, normals: np.ndarray | None) -> bpy.types.Material:
+def compose_color(level: bpy.types.Object, image: bpy.types.Image, names: Sequence[str]) -> bpy.types.Image:
+    """Return the front `image` of a level with the layers called `names` added to its color: a new image, or `image` if it has none."""
+    layers = [read_layer_pixels(layer, SIDES[0]) for name, layer in read_layers(level).items() if name in names]
+    if not layers:
+        return image
+    pixels = read_pixels(image)
+    pixels[..., :3] = encode_srgb(np.clip(decode_srgb(pixels[..., :3]) + sum(layers), 0.0, 1.0))
+    return create_image(f"{level.name} Color", pixels, is_data=False)
+
+
+def _connect_layers(nodes: NodeBuilder, shader: bpy.types.Node, level: bpy.types.Object) -> None:
+    """Let an exported material emit light and let light through, as far as glTF can store it."""
+    layers = read_layers(level)
+    if EMISSION in layers:
+        emission = layers[EMISSION]
+        color = emission.constant
+        if color is None:
+            color = nodes.node("ShaderNodeTexImage", {"image": emission.images[SIDES[0]], "extension": "EXTEND"}).outputs["Color"]
+        nodes.connect(color, shader.inputs["Emission Color"])
+        shader.inputs["Emission Strength"].default_value = emission.scale
+    color_image, parameters = front_color_image(level), pbr_image(level, FRONT_ROUGHNESS_METALLIC_DEPTH)
+    if TRANSMISSION in layers and color_image is not None and parameters is not None:
+        through = read_layer_pixels(layers[TRANSMISSION], SIDES[0]).mean(axis=2)
+        others = [read_layer_pixels(layers[name], SIDES[0]).mean(axis=2) for name in (TRANSLUCENCY,) if name in layers]
+        total = decode_srgb(read_pixels(color_image)[..., :3]).mean(axis=2) + through + sum(others)
+        pixels = np.zeros((*total.shape, 4), np.float32)
+        pixels[..., 0], pixels[..., 3] = np.clip(through / np.maximum(total, 1e-6), 0.0, 1.0), 1.0
+        # Only glass has highlights: it would blur what is behind it.
+        pixels[..., 1] = np.where(pixels[..., 0] > 0.0, read_pixels(parameters)[..., 0], 1.0)
+        image = create_image(f"{level.name} Transmission", pixels, is_data=True)
+        weight, roughness, _ = nodes.separate_color(
+            nodes.node("ShaderNodeTexImage", {"image": image, "extension": "EXTEND"}).outputs["Color"]
+        )
+        nodes.connect(weight, shader.inputs["Transmission Weight"])
+        nodes.connect(roughness, shader.inputs["Roughness"])
+
+
+def _create_export_material(level: bpy.types.Object, normals: np.ndarray | None) -> bpy.types.Material:
     """Create a two-sided material without highlights. Alpha is clipped at 0.5, because game engines do not sort blended quads."""
+    name, image = level.name, front_color_image(level)
     material = bpy.data.materials.new(name)
     enable_nodes(material)
     material.use_backface_culling = False
@@ -192,7 +239,7 @@ def _create_export_material(name: str, image: bpy.types.Image | None, normals: n
     shader.inputs["Roughness"].default_value = 1.0
     if image is not None:
         texture, clip = nodes.new("ShaderNodeTexImage"), nodes.new("ShaderNodeMath")
-        texture.image, texture.extension = image, "EXTEND"
+        texture.image, texture.extension = compose_color(level, image, FOLDED_LAYERS), "EXTEND"
         clip.operation = "ROUND"
         links.new(texture.outputs["Color"], shader.inputs["Base Color"])
         links.new(texture.outputs["Alpha"], clip.inputs[0])
@@ -202,4 +249,5 @@ def _create_export_material(name: str, image: bpy.types.Image | None, normals: n
         texture.image, texture.extension, texture.label = create_image(f"{name} Normals", normals, is_data=True), "EXTEND", FRONT_NORMAL
         links.new(texture.outputs["Color"], normal_map.inputs["Color"])
         links.new(normal_map.outputs[0], shader.inputs["Normal"])
+    _connect_layers(NodeBuilder(material.node_tree), shader, level)
     return material

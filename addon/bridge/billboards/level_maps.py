@@ -5,7 +5,8 @@ from it, so with its flat normal a whole quad would stay dark at a grazing angle
 normal map, as well as a linear field can, make this test correct nearly everywhere.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import bpy
 import numpy as np
@@ -14,8 +15,10 @@ from ...core.billboards.cloud import Level
 from ...core.imaging.images import MIN_ALPHA, dilate, grow_silhouette, mean_over_coverage, nearest_known, unpremultiply
 from ...core.imaging.metrics import encode_srgb
 from ..imaging.images import create_image
+from ..shading.shared_parameters import Value
 from .atlas_meshes import separate_heights
-from .cloud_materials import COLOR, NORMAL, ROUGHNESS_METALLIC_DEPTH, create_cloud_material
+from .cloud_materials import COLOR, NORMAL, ROUGHNESS_METALLIC_DEPTH, ShownLayer, create_cloud_material
+from .layer_maps import LayerMaps, create_layer_images
 
 MIN_COSINE = 0.2  # Between a corner's normal and the quad's; with less a corner would face away.
 RIDGE = 1e-3  # Tikhonov regularization of the slopes, relative to the total weight: keeps the fit of one row of texels well posed.
@@ -40,10 +43,15 @@ class PbrMaps:
 
 @dataclass(frozen=True)
 class LevelTextures:
-    """Both sides of the quads of one level. Both lie in the atlas as seen from the side of the quads' normals."""
+    """Both sides of the quads of one level. Both lie in the atlas as seen from the side of the quads' normals.
+
+    layers: by name, see `surface_layers`. parameters: inputs of a Principled shader that the whole surface has in common.
+    """
 
     front: PbrMaps
     back: PbrMaps
+    layers: Mapping[str, LayerMaps] = field(default_factory=dict)
+    parameters: Mapping[str, Value] = field(default_factory=dict)
 
 
 def compute_maps(
@@ -133,7 +141,10 @@ def create_textured_material(name: str, level: Level, textures: LevelTextures) -
     for side, maps in (("Front", textures.front), ("Back", textures.back)):
         for map_name, pixels in _encode_maps(maps, level.atlas.gutter).items():
             images[side, map_name] = create_image(f"{name} {side} {map_name}", pixels, is_data=map_name != COLOR)
-    return create_cloud_material(name, images, SHADOWLESS_ERRORS * level.error)
+    layers = {
+        layer: ShownLayer(maps.scale, create_layer_images(name, layer, maps), maps.constant) for layer, maps in textures.layers.items()
+    }
+    return create_cloud_material(name, images, SHADOWLESS_ERRORS * level.error, layers, textures.parameters)
 
 
 def _encode_maps(maps: PbrMaps, gutter: int) -> dict[str, np.ndarray]:

@@ -7,10 +7,12 @@ import numpy as np
 from ...core.billboards.atlas import MAX_SIDE
 from ...core.billboards.texels import QuadPolygons, Texels, texels_under_quads
 from ...core.errors import GeometryError
+from ...core.imaging.metrics import decode_srgb
 from ..geometry.mesh_arrays import read_attribute, read_positions
-from ..imaging.images import read_pixels
+from ..imaging.images import check_pixels, read_pixels
 from ..objects import world_matrix
-from .cloud_materials import FRONT_COLOR
+from ..shading.surface_layers import LAYERS
+from .cloud_materials import FRONT_COLOR, SIDES, ShownLayer, map_label, strength_name
 
 CENTER = "farfield_center"  # Custom property of a level object: the mean of its vertices in world space when the cloud was built.
 QUAD_ATTRIBUTE = "farfield_quad"  # Per face: its quad, in levels where a quad may have several faces; otherwise each face is a quad.
@@ -111,6 +113,35 @@ def pbr_material(level_object: bpy.types.Object) -> bpy.types.Material | None:
 def pbr_image(level_object: bpy.types.Object, label: str) -> bpy.types.Image | None:
     """The image of the PBR maps in the node labeled `label`."""
     return labeled_image(pbr_material(level_object), label)
+
+
+def read_layers(level_object: bpy.types.Object) -> dict[str, ShownLayer]:
+    """Return the layers of the PBR maps of a level by name, see `surface_layers`; none where the user has removed them."""
+    material = pbr_material(level_object)
+    nodes = material.node_tree.nodes if material is not None and material.node_tree is not None else []
+    layers = {}
+    for layer in LAYERS:
+        group = next((node for node in nodes if node.type == "GROUP" and f"{SIDES[0]} {layer.title()}" in node.inputs), None)
+        if group is not None:
+            strength = group.inputs.get(strength_name(layer))
+            found = {side: labeled_image(material, map_label(side, layer)) for side in SIDES}
+            images = {side: image for side, image in found.items() if image is not None}
+            constant = None if SIDES[0] in images else tuple(group.inputs[f"{SIDES[0]} {layer.title()}"].default_value)[:3]
+            layers[layer] = ShownLayer(1.0 if strength is None else strength.default_value, images if constant is None else {}, constant)
+    return layers
+
+
+def read_layer_pixels(layer: ShownLayer, side: str) -> np.ndarray:
+    """Return the scene-linear colors (H, W, 3) or (1, 1, 3) of a layer of a side (SIDES), with its scale.
+
+    Raises:
+        FileError: its image has no pixels.
+    """
+    if layer.constant is not None:
+        return layer.scale * np.float32(layer.constant).reshape(1, 1, 3)
+    image = layer.images.get(side, layer.images[SIDES[0]])
+    check_pixels(image)
+    return layer.scale * decode_srgb(read_pixels(image)[..., :3])
 
 
 def labeled_image(material: bpy.types.Material | None, label: str) -> bpy.types.Image | None:

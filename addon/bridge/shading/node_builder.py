@@ -177,14 +177,17 @@ def create_group(name: str, inputs: Sockets, outputs: Sockets) -> bpy.types.Node
 
 
 def ensure_shared_group(
-    name: str, version: int, inputs: Sockets, outputs: Sockets, fill: Callable[[NodeBuilder], None]
+    name: str, version: int, inputs: Sockets, outputs: Sockets, fill: Callable[[NodeBuilder], None], variant: str = ""
 ) -> bpy.types.NodeTree:
-    """Return the group of this name and version that all materials of the file share; create it with `fill` if there is none."""
+    """Return the group of this name, version and `variant` that all materials of the file share; create it with `fill` if there is none."""
     for group in bpy.data.node_groups:
-        if group.get("farfield_version") == version and group.name.startswith(name) and group.library is None:
+        is_same = group.get("farfield_version") == version and group.get("farfield_variant", "") == variant
+        if is_same and group.name.startswith(name) and group.library is None:
             return group
     group = create_group(name, inputs, outputs)
     group["farfield_version"] = version
+    if variant:
+        group["farfield_variant"] = variant
     builder = NodeBuilder(group)
     fill(builder)
     builder.arrange()

@@ -3,8 +3,7 @@
 While a quad is captured, its faces are placed in a rectangle of the atlas. The meshes there store the scene-space inputs as attributes. In
 the copies of the materials, nodes that would read the position, normal or object in the atlas are replaced by these attributes. Not
 supported: View and camera coordinates, reflections, Vector Transform nodes, box-projected images, Tangent and Pointiness of the Geometry
-node, ambient occlusion and bevels (which would see the faces of one quad only), and the color and indices of an instance where they differ
-from those of its object.
+node, ambient occlusion and bevels (which would see the faces of one quad only), and attributes of instances made by Geometry Nodes.
 """
 
 from collections.abc import Callable
@@ -19,6 +18,8 @@ POSITION, OBJECT, GENERATED = "farfield_position", "farfield_object", "farfield_
 LOCATION, RANDOM, ISLAND = "farfield_location", "farfield_random", "farfield_island"
 QUAD_AXES = ("farfield_u", "farfield_v", "farfield_n")
 OBJECT_AXES = ("farfield_x", "farfield_y", "farfield_z")
+OBJECT_INFO = (("Color", "color", "Color"), ("Alpha", "color", "Alpha"), ("Object Index", "pass_index", "Fac"))
+OBJECT_VALUE = "farfield_object "  # Followed by what a material reads of its object, see `read_object_value`.
 GENERATED_BY_DEFAULT = {  # nodes whose unlinked Vector input means Generated coordinates
     "ShaderNodeTexNoise",
     "ShaderNodeTexVoronoi",
@@ -51,14 +52,38 @@ def replace_scene_space_nodes(tree: bpy.types.NodeTree) -> None:
         elif node.bl_idname == "ShaderNodeObjectInfo":
             _relink(builder, node.outputs["Location"], lambda: builder.attribute(LOCATION))
             _relink(builder, node.outputs["Random"], lambda: builder.attribute(RANDOM, is_scalar=True))
+            for output, name, value in OBJECT_INFO:
+                _relink(builder, node.outputs[output], lambda name=name, value=value: _object_value(builder, name).outputs[value])
+        elif node.bl_idname == "ShaderNodeAttribute" and node.attribute_type in {"OBJECT", "INSTANCER"}:
+            node.attribute_type, node.attribute_name = "GEOMETRY", OBJECT_VALUE + node.attribute_name
         elif node.bl_idname in GENERATED_BY_DEFAULT and not node.inputs["Vector"].is_linked:
             tree.links.new(builder.attribute(GENERATED), node.inputs["Vector"])
+
+
+def read_object_value(item: bpy.types.Object, name: str) -> tuple[float, float, float, float]:
+    """Return what an Attribute node of the type Object reads as `name`: a custom property of an object or of its data, or a built-in one
+    such as "color"; 0 if there is none."""
+    for owner in (item, item.data):
+        try:
+            value = owner[name] if owner is not None and name in owner else owner.path_resolve(name)
+            values = [float(component) for component in ([value] if isinstance(value, int | float) else value)]
+        except (AttributeError, KeyError, TypeError, ValueError):
+            continue
+        if len(values) == 1:
+            return (values[0], values[0], values[0], 1.0)
+        if 2 <= len(values) <= 4:
+            return tuple([*values, 0.0][:3] + [values[3] if len(values) == 4 else 1.0])
+    return (0.0, 0.0, 0.0, 0.0)
 
 
 def required_attributes(tree: bpy.types.NodeTree) -> set[str]:
     """Return the names of the attributes read by `tree` and the node groups inside it."""
     keys = ("attribute_name", "layer_name", "uv_map")
     return {getattr(node, key) for node in nodes_in(tree) for key in keys if getattr(node, key, "")}
+
+
+def _object_value(builder: NodeBuilder, name: str) -> bpy.types.Node:
+    return builder.node("ShaderNodeAttribute", {"attribute_name": OBJECT_VALUE + name})
 
 
 def _replace_coordinates(builder: NodeBuilder, node: bpy.types.Node) -> None:

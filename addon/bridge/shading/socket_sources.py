@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import bpy
 
 from ..lod_crossfade import is_crossfade
+from .node_builder import SocketOrValue
 
 MAX_LINKS = 256  # from one node to another with content
 
@@ -75,3 +76,22 @@ def _enter(output: ScopedSocket) -> ScopedSocket | None:
 
 def _find(sockets: bpy.types.bpy_prop_collection, wanted: bpy.types.NodeSocket) -> bpy.types.NodeSocket | None:
     return next((item for item in sockets if item.identifier == wanted.identifier), None)
+
+
+def linked_output(target: bpy.types.NodeSocket) -> bpy.types.NodeSocket | None:
+    """Return the output linked to `target`."""
+    return next((link.from_socket for link in target.links if not link.is_muted), None)
+
+
+def input_value(node: bpy.types.Node, name: str | float, default: SocketOrValue) -> SocketOrValue:
+    """Return the link or the value of the input `name` of `node`; a number is returned unchanged; `default` if there is no such input."""
+    if not isinstance(name, str):
+        return name
+    target = node.inputs.get(name)
+    if target is None:
+        return default
+    source = linked_output(target)
+    if source is not None:
+        return source
+    value = target.default_value
+    return float(value) if isinstance(value, float | int) else list(value)[:3]

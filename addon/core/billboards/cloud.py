@@ -144,7 +144,8 @@ class Cloud:
         faces_beyond_normal_bound: Number of faces of the finest level beyond the normal bound of their owner.
         uncovered_faces: Number of faces that no quad shows.
         seconds: Run time per stage.
-        notes: Sentences about levels that were left out, and about a cloud that is no lighter than its source.
+        notes: Sentences about levels that were left out, about a cloud that is no lighter than its source, and about what it leaves out of
+            materials.
     """
 
     levels: list[Level]

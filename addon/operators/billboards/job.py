@@ -2,12 +2,13 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import bpy
 
 from ...bridge.billboards import capture, clouds
 from ...bridge.billboards.scene_clouds import SceneCloud, clouds_of_levels, read_cloud
+from ...bridge.billboards.source_losses import describe_source_losses
 from ...bridge.geometry import meshes
 from ...bridge.imaging import images
 from ...bridge.objects import find_by_uid
@@ -69,6 +70,11 @@ class BillboardJob:
             GeometryError: an object, a material or the scene was removed after the job started; nothing was created.
         """
         try:
+            if self.settings.textures:
+                core_result = [
+                    replace(cloud, notes=[*cloud.notes, *describe_source_losses(source)])
+                    for source, cloud in zip(self.sources, core_result, strict=True)
+                ]
             textures = yield from subprogress(self._capture(core_result), 0.0, CAPTURE_FRACTION)
         except ReferenceError:
             raise GeometryError("The original or its materials were removed while the cloud was being built; build it again.") from None

@@ -1,6 +1,6 @@
 """Proxies of a source: its faces as ordinary meshes, with copies of their materials that show something else."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import bpy
 import numpy as np
@@ -42,12 +42,14 @@ def add_proxies(
         yield add_atlas_mesh(work, drawn, world, placed, np.zeros_like(world), placement, materials), drawn
 
 
-def add_channel_proxies(work: RenderScene, source: Source, placement: AtlasPlacement, error: float) -> list[CaptureMaterial]:
-    """Add proxies as `add_proxies` does, and return their materials, which emit channels. error: see `build_capture_material`."""
+def add_channel_proxies(
+    work: RenderScene, source: Source, placement: AtlasPlacement, error: float, layers: Sequence[str] = ()
+) -> list[CaptureMaterial]:
+    """Add proxies as `add_proxies` does, and return their materials, which emit channels. error, layers: see `build_capture_material`."""
     materials: list[CaptureMaterial] = []
 
     def copy_material(original: bpy.types.Material | None, color_layer: str) -> bpy.types.Material:
-        materials.append(build_capture_material(original, color_layer, error, False, work))
+        materials.append(build_capture_material(original, color_layer, error, False, work, layers))
         return materials[-1].material
 
     for _ in add_proxies(work, source, placement, copy_material):

@@ -24,6 +24,7 @@ from ...geometry.meshes import Source
 from ...rendering.render_scene import RenderScene, prepare_channel_render, prepare_cycles, render_scene
 from ...shading.material_channels import CaptureMaterial, build_capture_material
 from ...shading.node_builder import NodeBuilder, has_emission
+from ...shading.surface_layers import EMISSION
 from .proxies import add_channel_proxies, add_proxies, single_placement
 
 MAX_TRANSPARENT_BOUNCES = 256
@@ -186,7 +187,9 @@ def open_surface_renderer(source: Source, settings: BtfSettings, threads: int) -
     with render_scene("Farfield Surface") as work:
         prepare_channel_render(work.scene, 1, 1, settings.seed)
         work.scene.render.threads_mode, work.scene.render.threads = "FIXED", threads
-        yield SurfaceRenderer(work, source, add_channel_proxies(work, source, single_placement(np.zeros(3)), 1.0), settings)
+        layers = (EMISSION,) if has_emission(source.materials) else ()  # Emitted light is no part of the color.
+        materials = add_channel_proxies(work, source, single_placement(np.zeros(3)), 1.0, layers)
+        yield SurfaceRenderer(work, source, materials, settings)
 
 
 def build_views(source: Source, grid: DirectionGrid, pixel_size: float) -> list[OrthographicView]:

@@ -14,12 +14,14 @@ from ....core.errors import GeometryError
 from ....core.imaging.metrics import decode_srgb
 from ...billboards.cloud_materials import COLOR, MAPS, NORMAL, SHADOWLESS_DISTANCE, SIDES, SOLID_ATTRIBUTE, map_label
 from ...billboards.level_maps import SHADOWLESS_ERRORS
-from ...billboards.level_objects import pbr_image, pbr_material, read_pbr_alpha, read_quad_flags
+from ...billboards.level_objects import pbr_image, pbr_material, read_layer_pixels, read_layers, read_pbr_alpha, read_quad_flags
 from ...imaging.images import check_pixels, read_pixels
 from ...lod_crossfade import apply_to_materials
+from ...shading.shared_parameters import Value
+from ...shading.surface_layers import EMISSION as EMISSION_LAYER
+from ...shading.surface_layers import TRANSLUCENCY, TRANSMISSION
 from ..materials.emission_material import LAYOUT, VERSION
 from ..materials.nodes.parallax_nodes import write_texel_axes
-from ..materials.shared_parameters import Value
 from ..materials.surface_material import DEFAULT_LIGHT_COVERAGE, SurfaceImages, build_surface_material, set_light_coverage
 from ..materials.texture_images import create_color_image, create_half_float_image, create_weight_images
 from .emission_levels import remove_suns, replace_pbr_material
@@ -42,9 +44,14 @@ def read_two_sided_texels(level_object: bpy.types.Object, texels: Texels) -> Two
     images = _pbr_images(level_object)
     columns, rows = texels.pixels.T
 
+    layers = [layer for name, layer in read_layers(level_object).items() if name in (TRANSLUCENCY, TRANSMISSION)]
+
     def read_side(side: str) -> np.ndarray:
         color, normal = (read_pixels(images[side, name])[rows, columns, :3] for name in (COLOR, NORMAL))
-        return np.column_stack([decode_srgb(color), normal]).astype(np.float32)
+        # The views of the source show the whole color, also that of the light which leaves and glass let through.
+        color_sum = decode_srgb(color) + sum(read_layer_pixels(layer, side)[rows, columns] for layer in layers if layer.images)
+        color_sum += sum(read_layer_pixels(layer, side)[0, 0] for layer in layers if not layer.images)
+        return np.column_stack([color_sum, normal]).astype(np.float32)
 
     return TwoSidedTexels(
         texels, *map(read_side, SIDES), read_pbr_alpha(level_object, texels), read_quad_flags(level_object, SOLID_ATTRIBUTE)
@@ -75,6 +82,7 @@ def assign_surface_material(
         alpha=table,
         upper=views.upper,
         emission=emission,
+        layers={name: layer for name, layer in read_layers(level_object).items() if name != EMISSION_LAYER},
     )
     material = build_surface_material(name, images, _shadowless_distance(level_object, error), parameters)
     set_light_coverage(material, DEFAULT_LIGHT_COVERAGE)

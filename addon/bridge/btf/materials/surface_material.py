@@ -5,7 +5,7 @@ the light. Which end of a ray that is depends on the render engine: Cycles trace
 the light. So the material has an output for each of them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import bpy
@@ -19,15 +19,18 @@ from ...billboards.cloud_materials import (
     ROUGHNESS_METALLIC_DEPTH,
     SIDES,
     SOLID_ATTRIBUTE,
+    ShownLayer,
+    add_layers,
     add_quad_shader,
     create_two_sided_material,
+    sample_layer,
     sample_map,
 )
 from ...shading.node_builder import NodeBuilder, SocketOrValue, create_group
+from ...shading.shared_parameters import Value, write_parameters
 from .emission_material import ALPHA_BASIS, ALPHA_WEIGHTS, EMISSION
 from .nodes.parallax_nodes import depth_uv
 from .nodes.table_nodes import map_uv, sample_image, sample_weights, weighted_scalar_sum
-from .shared_parameters import Value, write_parameters
 
 SHADOW_RAYS_LEAVE = "Shadow Rays Leave"  # Input of the group: 1 if shadow rays start at the shaded point, 0 if they start at the light.
 LIGHT_COVERAGE = "Light Coverage"  # Input of the group: 0 to 1, see `_light_alpha`.
@@ -47,6 +50,7 @@ class SurfaceImages:
         alpha: Lookup table by view.
         upper: Whether its views are in the hemi-octahedral map.
         emission: Emitted radiance; None if nothing emits light.
+        layers: Other layers of the PBR maps by name, see `surface_layers`.
     """
 
     maps: dict[tuple[str, str], bpy.types.Image]
@@ -55,6 +59,7 @@ class SurfaceImages:
     alpha: ViewTable
     upper: bool
     emission: bpy.types.Image | None
+    layers: Mapping[str, ShownLayer]
 
 
 def build_surface_material(
@@ -102,8 +107,16 @@ def _fill_group(builder: NodeBuilder, images: SurfaceImages, shadowless_distance
     if images.emission is not None:
         builder.connect(sample_image(builder, images.emission, EMISSION)[0], shader.inputs["Emission Color"])
         shader.inputs["Emission Strength"].default_value = 1.0
-    builder.connect(shader.outputs[0], builder.node("NodeGroupOutput").inputs[0])
+    layers = {name: _visible_layer(builder, name, layer, is_backfacing) for name, layer in images.layers.items()}
+    surface = add_layers(builder, shader, layers, {name: layer.scale for name, layer in images.layers.items()})
+    builder.connect(surface, builder.node("NodeGroupOutput").inputs[0])
     builder.arrange()
+
+
+def _visible_layer(builder: NodeBuilder, name: str, layer: ShownLayer, is_backfacing: SocketOrValue) -> SocketOrValue:
+    """Return the values of a layer of the visible side, without its scale."""
+    front, back = sample_layer(builder, name, layer).values()
+    return builder.mix(is_backfacing, front, back)
 
 
 def _viewer(
