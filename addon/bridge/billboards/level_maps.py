@@ -52,13 +52,13 @@ def compute_maps(
 
     continuation: mask (H, W) bool of the texels into which silhouettes grow, because the surface continues there (see `silhouettes`).
     """
-    radius = level.atlas.gutter // 2 + 1
-    directions = mean_over_coverage(normal, radius) * 2.0 - 1.0
+    quads = level.atlas.quad_map
+    directions = mean_over_coverage(normal, regions=quads) * 2.0 - 1.0
     lengths = np.linalg.norm(directions, axis=2, keepdims=True)
     directions = np.where(lengths > MIN_ALPHA, directions / np.maximum(lengths, MIN_ALPHA), np.float32([0.0, 0.0, 1.0]))
-    parameters = mean_over_coverage(roughness_metallic_depth, radius)
+    parameters = mean_over_coverage(roughness_metallic_depth, regions=quads)
     parameters[..., 2] = parameters[..., 2] * 2.0 - 1.0
-    return PbrMaps(grow_silhouette(np.clip(color, 0.0, None), continuation, radius), directions.astype(np.float32), parameters)
+    return PbrMaps(grow_silhouette(np.clip(color, 0.0, None), continuation, quads), directions.astype(np.float32), parameters)
 
 
 def compute_corner_normals(level: Level, maps: PbrMaps, quad: int, cutout: np.ndarray) -> np.ndarray:
@@ -100,16 +100,16 @@ def create_textured_material(name: str, level: Level, textures: LevelTextures) -
     """Create a material with the images of `textures`, packed and named after it."""
     images = {}
     for side, maps in (("Front", textures.front), ("Back", textures.back)):
-        for map_name, pixels in _encode_maps(maps, level.atlas.gutter).items():
+        for map_name, pixels in _encode_maps(maps, level.atlas.quad_map).items():
             images[side, map_name] = create_image(f"{name} {side} {map_name}", pixels, is_data=map_name != COLOR)
     return create_cloud_material(name, images, SHADOWLESS_ERRORS * level.error)
 
 
-def _encode_maps(maps: PbrMaps, gutter: int) -> dict[str, np.ndarray]:
-    """Encode the maps of one side for 8-bit images: (H, W, 4) in 0..1, color as straight sRGB."""
+def _encode_maps(maps: PbrMaps, quads: np.ndarray) -> dict[str, np.ndarray]:
+    """Encode the maps of one side for 8-bit images: (H, W, 4) in 0..1, color as straight sRGB. quads: see `AtlasLayout.quad_map`."""
     straight = unpremultiply(maps.color)
     alpha = np.clip(straight[..., 3:], 0.0, 1.0)
-    color = dilate(straight[..., :3], maps.color[..., 3] * (maps.color[..., 3] > MIN_ALPHA), gutter // 2 + 1)
+    color = dilate(straight[..., :3], maps.color[..., 3] * (maps.color[..., 3] > MIN_ALPHA), regions=quads)
     parameters = maps.roughness_metallic_depth * np.float32([1.0, 1.0, 0.5]) + np.float32([0.0, 0.0, 0.5])
     opaque = np.ones_like(alpha)
     return {

@@ -27,8 +27,8 @@ class SurfaceContinuation:
         surface continues."""
         candidates = np.zeros(alphas[0].shape, bool)
         for alpha in alphas:
-            candidates |= (alpha < 1.0 - MIN_ALPHA) & (max_of_neighbors(alpha) > MIN_ALPHA)
-        quads = _rasterize_joined_quads(level)
+            candidates |= (alpha < 1.0 - MIN_ALPHA) & (max_of_neighbors(alpha, level.atlas.quad_map) > MIN_ALPHA)
+        quads = np.where(np.append(level.joined, False)[level.atlas.quad_map], level.atlas.quad_map, -1)
         row, column = np.nonzero(candidates & (quads >= 0))
         if self._mesh is None or len(row) == 0:  # The discs of a point cloud have no silhouette of their own.
             return quads >= 0
@@ -54,14 +54,3 @@ class SurfaceContinuation:
         rays = zip(local, directions.tolist(), strict=True)
         max_distance = distance / self._unit
         return np.array([self._bvh.ray_cast(Vector(origin), Vector(ray), max_distance)[0] is not None for origin, ray in rays], bool)
-
-
-def _rasterize_joined_quads(level: Level) -> np.ndarray:
-    """Return the index (H, W) int32 of the joined quad of each texel of the atlas, including half of the gutter; -1 for none."""
-    width, height = level.atlas.size
-    quads = np.full((height, width), -1, np.int32)
-    margin = level.atlas.gutter // 2
-    for quad in np.flatnonzero(level.joined):
-        x, y, quad_width, quad_height = level.atlas.rectangles[quad]
-        quads[y - margin : y + quad_height + margin, x - margin : x + quad_width + margin] = quad
-    return quads

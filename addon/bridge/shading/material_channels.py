@@ -15,7 +15,7 @@ from .node_builder import NodeBuilder, SocketOrValue
 from .scene_space_nodes import OBJECT_AXES, QUAD_AXES, replace_scene_space_nodes, world_normal
 
 CHANNELS = ("color", "normal", "roughness_metallic_depth")
-CELL_COORDINATES = "farfield_cell"  # attribute: position in the atlas cell, -1..1 across the rectangle and half its gutter
+CELL_COORDINATES = "farfield_cell"  # attribute: position in the atlas cell, -1..1 across the rectangle of a quad
 
 
 @dataclass(frozen=True)
