@@ -59,7 +59,7 @@ def test_silhouettes_grow_by_one_texel_within_the_region_only():
 
 
 def test_charts_that_touch_neither_grow_nor_fill_each_other():
-    """A red opaque chart beside a green one with a transparent seam, and one without any coverage."""
+    """A red opaque chart next to a green one with a transparent seam, and one without any coverage."""
     regions = np.repeat([[0] * 4 + [1] * 4 + [2] * 4], 6, axis=0)
     image = np.zeros((6, 12, 4), np.float32)
     image[:, :4] = [1.0, 0.0, 0.0, 1.0]

@@ -141,20 +141,23 @@ def cover_by_hough(
     _reference_area: float | None = None,
 ) -> Steps[list[Covering]]:
     """Greedy planes in Hough space (section 4.1), each level independently."""
+    tasks = [_cover_in_hough_space(primitives, error, settings, clock) for error in errors[len(finished) :]]
+    return [*finished, *(yield from run_in_parallel(tasks))]
+
+
+def _cover_in_hough_space(primitives: Primitives, error: float, settings: BillboardSettings, clock: StageClock) -> Steps[Covering]:
+    """Cover `primitives` within `error`, a length."""
     from .hough.hough import find_planes
 
-    coverings = list(finished)
-    for level, start, stop in _progress_spans(len(finished), len(errors), 0.0):
-        steps = find_planes(primitives.positions, primitives.areas, primitives.normals, errors[level], settings.seed)
-        with clock.stage("planes"):
-            planes = yield from subprogress(steps, start, stop)
-        frames = frames_from_normals(planes.normals)
-        patches = []
-        for normal, offset, frame, drawn in zip(planes.normals, planes.offsets, frames, planes.drawn, strict=True):
-            points = primitives.points[primitives.find_points(drawn)]
-            patches.append(Patch(normal, float(offset), *fit_rectangle(points, frame[:2]), drawn, drawn))
-        coverings.append(Covering(patches, planes.owner))
-    return coverings
+    steps = find_planes(primitives.positions, primitives.areas, primitives.normals, error, settings.seed)
+    with clock.stage("planes"):
+        planes = yield from steps
+    frames = frames_from_normals(planes.normals)
+    patches = []
+    for normal, offset, frame, drawn in zip(planes.normals, planes.offsets, frames, planes.drawn, strict=True):
+        points = primitives.points[primitives.find_points(drawn)]
+        patches.append(Patch(normal, float(offset), *fit_rectangle(points, frame[:2]), drawn, drawn))
+    return Covering(patches, planes.owner)
 
 
 def cover_by_decimation(
@@ -171,19 +174,23 @@ def cover_by_decimation(
     Every triangle of the result becomes a quad; triangles in one plane share a quad. Unassigned faces are clustered. Flat surfaces are not
     decimated.
     """
-    coverings = list(finished)
-    for level, start, stop in _progress_spans(len(finished), len(errors), 0.0):
-        bounds = PlaneBounds(errors[level], float(np.cos(settings.max_normal_deviation)))
-        flat, covering = cover_flat_surfaces(primitives, components, bounds, QUAD_COST)
-        if len(flat):
-            yield Progress(start, "Covering flat surfaces")
-        parts = [(flat, covering)]
-        rest = np.setdiff1d(np.arange(len(primitives)), flat)
-        if len(rest):
-            steps = _decimate(primitives.subset(rest), components.subset(rest), bounds, settings, clock)
-            parts.append((rest, (yield from subprogress(steps, start, stop))))
-        coverings.append(merge_coverings(parts, len(primitives)))
-    return coverings
+    tasks = [_cover_with_decimation(primitives, components, error, settings, clock) for error in errors[len(finished) :]]
+    return [*finished, *(yield from run_in_parallel(tasks))]
+
+
+def _cover_with_decimation(
+    primitives: Primitives, components: Components, error: float, settings: BillboardSettings, clock: StageClock
+) -> Steps[Covering]:
+    """Cover `primitives` within `error`, a length."""
+    bounds = PlaneBounds(error, float(np.cos(settings.max_normal_deviation)))
+    flat, covering = cover_flat_surfaces(primitives, components, bounds, QUAD_COST)
+    if len(flat):
+        yield Progress(0.0, "Covering flat surfaces")
+    parts = [(flat, covering)]
+    rest = np.setdiff1d(np.arange(len(primitives)), flat)
+    if len(rest):
+        parts.append((rest, (yield from _decimate(primitives.subset(rest), components.subset(rest), bounds, settings, clock))))
+    return merge_coverings(parts, len(primitives))
 
 
 def _decimate(
