@@ -153,6 +153,7 @@ def build_level_report(levels: list[Level], objects: list[bpy.types.Object]) -> 
         "triangles": sum(level.triangle_count for level in levels),
         "mesh_triangles": sum(level.chart_triangle_count for level in levels),
         "texels": sum(level.texel_count for level in levels),
+        "atlas_use": round(sum(level.texel_count for level in levels) / sum(math.prod(level.atlas.size) for level in levels), 4),
         "switch_distance": distance if math.isfinite(distance) else None,
     }
 

@@ -5,31 +5,43 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from farfield.addon.core.billboards.atlas import GUTTER, MAX_SIDE, MAX_TEXELS, SIZE_MULTIPLE, pack, pack_skyline
+from farfield.addon.core.billboards.atlas import MAX_SIDE, MAX_TEXELS, MIP_SIZES, SIZE_MULTIPLE, pack, pack_skyline
 from farfield.addon.core.errors import SettingsError
 
 sizes = st.lists(st.tuples(st.integers(1, 60), st.integers(1, 60)), min_size=1, max_size=40)
 
 
+def filter_range(center, extent, mip_level, count):
+    """Return the first and the last texel of a `mip_level` that a bilinear filter reads on an interval, clamped to `count` texels."""
+    ends = np.array([center - 0.5 * extent, center + 0.5 * extent]) / 2**mip_level
+    return max(int(np.floor(ends[0] - 0.5 + 1e-9)), 0), min(int(np.ceil(ends[1] - 0.5 - 1e-9)), count - 1)
+
+
 @settings(max_examples=60)
-@given(sizes, st.sampled_from([1e-6, 0.37, 1.0, 1e6]), st.integers(0, 8))
-def test_rectangles_keep_the_gutter_and_are_inside(sides, texel_size, gutter):
-    atlas = pack(0.5 * texel_size * np.array(sides, float), texel_size, gutter)
-    width, height = atlas.size
-    np.testing.assert_array_equal(atlas.rectangles[:, 2:], sides)
-    assert width % SIZE_MULTIPLE == 0 and height % SIZE_MULTIPLE == 0
-    usage = np.zeros((height + gutter, width + gutter), np.int32)
-    for x, y, wide, tall in atlas.rectangles:
-        assert x >= gutter and y >= gutter and x + wide <= width - gutter and y + tall <= height - gutter
-        usage[y : y + tall + gutter, x : x + wide + gutter] += 1  # the texels and the gutter above and to the right
+@given(sizes, st.sampled_from([1e-6, 0.37, 1.0, 1e6]))
+def test_bilinear_filters_read_texels_of_their_own_quad_only(sides, texel_size):
+    """Also in the first mip levels, in which large quads are separate: their texels are means of texels of one rectangle."""
+    atlas = pack(0.5 * texel_size * np.array(sides, float), texel_size)
+    assert all(side % SIZE_MULTIPLE == 0 for side in atlas.size)
+    np.testing.assert_array_equal(atlas.quad_sizes, sides)
+    usage = np.zeros(atlas.size[::-1], np.int32)
+    for quad, (x, y, wide, tall) in enumerate(atlas.rectangles):
+        assert x >= 0 and y >= 0 and x + wide <= atlas.size[0] and y + tall <= atlas.size[1]
+        usage[y : y + tall, x : x + wide] += 1
+        for mip_level in range(1 + sum(min(sides[quad]) >= size for size in MIP_SIZES)):
+            for axis in (0, 1):
+                start, extent = atlas.rectangles[quad, axis], atlas.rectangles[quad, 2 + axis]
+                low, high = filter_range(start + 0.5 * extent, sides[quad][axis], mip_level, atlas.size[axis] >> mip_level)
+                assert start <= low << mip_level and (high + 1) << mip_level <= start + extent
     assert usage.max() == 1
+    np.testing.assert_array_equal(usage > 0, atlas.quad_map >= 0)
     assert atlas.texel_count == sum(wide * tall for wide, tall in sides)
 
 
 @given(sizes)
 def test_rectangles_in_a_strip_do_not_overlap(sides):
     padded = np.array(sides)
-    positions, height = pack_skyline(padded, 64)
+    positions, height = pack_skyline(padded, np.ones(len(padded), int), 64)
     usage = np.zeros((height, 64), np.int32)
     for (x, y), (wide, tall) in zip(positions, padded, strict=True):
         usage[y : y + tall, x : x + wide] += 1
@@ -41,7 +53,7 @@ def test_rectangles_in_a_strip_do_not_overlap(sides):
 @given(st.floats(0.01, 30.0), st.floats(0.01, 30.0), st.floats(0.1, 2.0))
 def test_side_is_its_length_in_texels(wide, tall, texel_size):
     atlas = pack(0.5 * np.array([[wide, tall]]), texel_size)
-    for texels, length in zip(atlas.rectangles[0, 2:], (wide, tall), strict=True):
+    for texels, length in zip(atlas.quad_sizes[0], (wide, tall), strict=True):
         assert texels == 1 or abs(texels - length / texel_size) <= 0.5 + 1e-9
         assert texels >= 1
 
@@ -52,12 +64,14 @@ def test_rounding_is_unbiased():
     assert pack(half_sizes, 1.0).texel_count == pytest.approx(4.0 * half_sizes.prod(axis=1).sum(), rel=0.01)
 
 
-def test_packing_wastes_little():
-    half_sizes = np.random.default_rng(1).uniform(2.0, 20.0, (300, 2))
+@pytest.mark.parametrize("count", [30, 100, 300])
+@pytest.mark.parametrize("texels", [6.0, 8.0, 14.0, 40.0])
+def test_most_of_the_atlas_is_used(texels, count):
+    """Quads of a few texels are a coarse level."""
+    half_sizes = 0.5 * texels * np.random.default_rng(1).lognormal(0.0, 0.6, (count, 2))
     atlas = pack(half_sizes, 1.0)
-    padded = (atlas.rectangles[:, 2:] + GUTTER).astype(float).prod(axis=1).sum()
-    assert atlas.size[0] * atlas.size[1] <= 1.25 * padded
-    assert 0.7 <= atlas.size[0] / atlas.size[1] <= 1.5
+    assert atlas.texel_count >= 0.65 * atlas.size[0] * atlas.size[1]
+    assert 0.5 <= atlas.size[0] / atlas.size[1] <= 2.0
 
 
 def test_rejects_more_than_fits_into_a_texture():

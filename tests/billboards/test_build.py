@@ -1,5 +1,7 @@
 """Tests of the construction: every method keeps its bounds, and shapes with a known result give it."""
 
+import threading
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from farfield.addon.core.errors import GeometryError, SettingsError
 from farfield.addon.core.geometry.directions import fibonacci_sphere
 from farfield.addon.core.geometry.mesh import PointCloud, TriangleMesh, concatenate, face_areas_and_normals
 from farfield.addon.core.geometry.points import splat_radii
+from farfield.addon.core.jobs import parallel_steps
 from farfield.addon.core.jobs.progress import run_to_end
 from shapes import box, bumpy_sphere, cylinder, leaf_cards, sheet, soup, sphere
 
@@ -104,9 +107,29 @@ class TestBounds:
     def test_equal_seeds_give_equal_bytes(self, method):
         mesh = box(cuts=2) if method == "decimate" else bumpy_sphere(6)
         first, second = (build_test_cloud(mesh, method=method, seed=3).levels[0] for _ in range(2))
-        for name in ("centers", "frames", "half_sizes", "drawn_offsets", "drawn", "owner"):
-            assert getattr(first.quads, name).tobytes() == getattr(second.quads, name).tobytes()
-        assert first.atlas.rectangles.tobytes() == second.atlas.rectangles.tobytes()
+        assert level_bytes(first) == level_bytes(second)
+
+    def test_levels_side_by_side_equal_levels_one_after_the_other(self, monkeypatch):
+        """And those of builds of their own, so that no level depends on what another thread does."""
+        mesh, settings = bumpy_sphere(12), {"error": 0.02, "levels": 3}
+        together = [level_bytes(level) for level in build_test_cloud(mesh, **settings).levels]
+        monkeypatch.setattr(parallel_steps, "MAX_THREADS", 1)
+        monkeypatch.setattr("os.cpu_count", lambda: 1)
+        assert len(together) > 1
+        assert [level_bytes(level) for level in build_test_cloud(mesh, **settings).levels] == together
+
+    def test_a_cancelled_build_ends_the_threads_of_all_levels(self):
+        steps = build_cloud(bumpy_sphere(12), BillboardSettings(error=0.02, levels=3))
+        while not next(steps).label.startswith("Clustering"):
+            pass
+        steps.close()
+        assert not [thread for thread in threading.enumerate() if thread.name.startswith("farfield-steps")]
+
+
+def level_bytes(level: Level) -> list[bytes]:
+    """Return the arrays of a level as bytes."""
+    names = ("centers", "frames", "half_sizes", "drawn_offsets", "drawn", "owner")
+    return [*(getattr(level.quads, name).tobytes() for name in names), level.atlas.rectangles.tobytes(), *map(bytes, level.cutouts)]
 
 
 class TestKnownShapes:

@@ -38,7 +38,7 @@ def texel_positions(level):
     rows, columns = np.mgrid[:height, :width] + 0.5
     flat = np.stack([columns - 0.5 * width, rows - 0.5 * height, np.zeros((height, width))], axis=2) * level.texel_size
     quads, positions = np.full((height, width), -1), np.zeros((height, width, 3))
-    for quad, (x, y, w, h) in enumerate(level.atlas.rectangles):
+    for quad, ((x, y), (w, h)) in enumerate(zip(pbr_clouds.quad_corners(level.atlas), level.atlas.quad_sizes, strict=True)):
         area = (slice(y, y + h), slice(x, x + w))
         quads[area] = quad
         positions[area] = placement.centers[quad] + (flat[area] - placement.positions[quad]) @ placement.axes[quad] / placement.scales[quad]

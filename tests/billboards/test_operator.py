@@ -1,6 +1,7 @@
 """The operators as scripts and other add-ons call them: results, rejected input, visibility, undo, and no other changes."""
 
 import math
+import time
 from unittest.mock import MagicMock
 
 import bpy
@@ -359,13 +360,26 @@ class TestEstimates:
         estimates.cache.clear()
         assert estimates.cache.find(self.key()) is None and not bpy.app.timers.is_registered(estimates.cache._timer)
 
+    def test_estimates_of_the_panel_are_computed_in_the_background(self):
+        """A further setting cancels the one that runs."""
+        cube()
+        group = bpy.context.scene.farfield_billboards
+        for error in (3.0, 5.0):
+            group.error = error
+            assert estimates.cache.request(self.key())
+            assert estimates.cache._advance_pending() == estimates.POLL_SECONDS
+        while estimates.cache._advance_pending() is not None:
+            time.sleep(0.01)
+        assert estimates.cache.find(self.key()).levels[0].quads == 6
+        estimates.cache.clear()
+
     def test_estimates_of_deleted_objects_are_evicted(self):
         item = cube()
         bpy.ops.farfield.billboards_estimate()
         key = self.key()
         bpy.data.objects.remove(item)
         assert estimates.cache.find(key) is None
-        assert estimates.cache._result is None and estimates.cache._samples is None
+        assert estimates.cache._result is None and estimates.cache._trials is None
 
 
 @pytest.mark.parametrize("item", describe(BillboardSettings), ids=lambda item: item.name)

@@ -78,8 +78,8 @@ def test_quads_span_their_rectangles_of_the_texture():
     uvs = np.array([corner.uv for corner in mesh.uv_layers[0].data]).reshape(6, 4, 2) * level.atlas.size
     positions = np.array([vertex.co for vertex in mesh.vertices]).reshape(6, 4, 3)
     assert positions == pytest.approx(level.quads.corners(), abs=1e-5)
-    assert uvs.min(axis=1) == pytest.approx(level.atlas.rectangles[:, :2], abs=1e-3)
-    assert np.ptp(uvs, axis=1) == pytest.approx(level.atlas.rectangles[:, 2:], abs=1e-3)
+    assert uvs.min(axis=1) == pytest.approx(pbr_clouds.quad_corners(level.atlas), abs=1e-3)
+    assert np.ptp(uvs, axis=1) == pytest.approx(level.atlas.quad_sizes, abs=1e-3)
 
 
 @pytest.mark.parametrize("sun", [(1.0, -0.5, 1.0), (-1.0, 0.2, 0.3)], ids=["front", "grazing"])

@@ -41,7 +41,7 @@ def test_closed_surface_continues_everywhere():
     source = blender_scenes.read_objects(bpy.context.object)
     level = build_level(source, 0.02)
     assert level.joined.all()
-    alpha = fill_rectangles(level, 3)
+    alpha = fill_rectangles(level, 6)
     np.testing.assert_array_equal(SurfaceContinuation(source).find_texels(level, [alpha]), adjacent_texels(alpha))
 
 

@@ -5,7 +5,7 @@ import numpy as np
 from farfield.addon.core.billboards.cloud import AtlasLayout, Cloud, Level, Quads
 from farfield.addon.core.geometry.mesh import TriangleMesh, face_areas_and_normals, longest_side
 
-GUTTER = 4
+BORDER = 2
 
 
 def axis_directions() -> np.ndarray:
@@ -58,15 +58,20 @@ def _rectangle(points: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def _shelf(half_sizes: np.ndarray, texel: float) -> AtlasLayout:
-    """Place rectangles side by side in rows of about equal length."""
+    """Place rectangles with a border of two texels side by side in rows of about equal length."""
     sizes = np.ceil(2.0 * half_sizes / texel - 1e-9).astype(int).clip(1)
-    row_length = int(np.sqrt(((sizes + GUTTER).prod(axis=1)).sum()) + sizes[:, 0].max())
-    x, y, row_height, placed = GUTTER, GUTTER, 0, []
-    for width, height in sizes:
-        if x + width + GUTTER > row_length + 2 * GUTTER:
-            x, y, row_height = GUTTER, y + row_height + GUTTER, 0
+    row_length = int(np.sqrt(((sizes + 2 * BORDER).prod(axis=1)).sum()) + sizes[:, 0].max() + 2 * BORDER)
+    x, y, row_height, placed = 0, 0, 0, []
+    for width, height in sizes + 2 * BORDER:
+        if x + width > row_length:
+            x, y, row_height = 0, y + row_height, 0
         placed.append((x, y, width, height))
-        x, row_height = x + width + GUTTER, max(row_height, height)
+        x, row_height = x + width, max(row_height, height)
     rectangles = np.array(placed, np.int32)
-    ends = (rectangles[:, :2] + rectangles[:, 2:]).max(axis=0) + GUTTER
-    return AtlasLayout((int(ends[0]), int(ends[1])), rectangles, GUTTER)
+    ends = (rectangles[:, :2] + rectangles[:, 2:]).max(axis=0)
+    return AtlasLayout((int(ends[0]), int(ends[1])), rectangles, sizes.astype(np.int32))
+
+
+def quad_corners(atlas: AtlasLayout) -> np.ndarray:
+    """Return the texels (Q, 2) at the lower left corners of the quads, for sizes that differ from their rectangles' by an even number."""
+    return atlas.rectangles[:, :2] + (atlas.rectangles[:, 2:] - atlas.quad_sizes) // 2

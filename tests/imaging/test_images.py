@@ -50,12 +50,25 @@ def test_silhouettes_grow_by_one_texel_within_the_region_only():
     image[6, 6] = [0.1, 0.0, 0.0, 0.5]
     left = np.zeros((8, 8), bool)
     left[:, :5] = True
-    grown = grow_silhouette(image, left, 3)
+    grown = grow_silhouette(image, left, np.zeros((8, 8), int))
     expected = image[..., 3].copy()
     expected[2, 2:5] = expected[5, 2:5] = expected[3:5, 1] = 1.0
     np.testing.assert_array_equal(grown[..., 3], expected)
     np.testing.assert_allclose(grown[2, 3], [0.2, 0.4, 0.6, 1.0], atol=1e-6)
     np.testing.assert_allclose(grown[~left], image[~left], atol=1e-6)
+
+
+def test_charts_that_touch_neither_grow_nor_fill_each_other():
+    """A red opaque chart next to a green one with a transparent seam, and one without any coverage."""
+    regions = np.repeat([[0] * 4 + [1] * 4 + [2] * 4], 6, axis=0)
+    image = np.zeros((6, 12, 4), np.float32)
+    image[:, :4] = [1.0, 0.0, 0.0, 1.0]
+    image[:, 6:8] = [0.0, 0.5, 0.0, 0.5]
+    grown = grow_silhouette(image, np.ones((6, 12), bool), regions)
+    np.testing.assert_array_equal(grown[0, :, 3], [1, 1, 1, 1, 0, 0.5, 0.5, 0.5, 0, 0, 0, 0])
+    filled = dilate(unpremultiply(image)[..., :3], image[..., 3], regions=regions)
+    np.testing.assert_array_equal(filled[:, :4], np.broadcast_to([1.0, 0.0, 0.0], (6, 4, 3)))
+    np.testing.assert_array_equal(filled[:, 4:8], np.broadcast_to([0.0, 1.0, 0.0], (6, 4, 3)))
 
 
 def test_bilinear_samples_reproduce_pixel_centers_and_linear_ramps():

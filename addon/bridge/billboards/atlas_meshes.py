@@ -44,7 +44,7 @@ class AtlasPlacement:
     """Transforms of Q quads into the atlas plane: p -> scale * axes @ (p - center) + position.
 
     centers (Q, 3) in world space; axes (Q, 3, 3), rows u, v, n; positions (Q, 3) in the atlas plane, z = 0; scales (Q,), less than 1 only
-    where a rectangle is smaller than its quad.
+    where a quad has fewer texels than its size.
     """
 
     centers: np.ndarray
@@ -69,7 +69,7 @@ def compute_placement(level: Level) -> AtlasPlacement:
     rectangle_centers = rectangles[:, :2] + 0.5 * rectangles[:, 2:] - 0.5 * np.array(level.atlas.size, np.float64)
     positions = np.column_stack([level.texel_size * rectangle_centers, np.zeros(len(rectangle_centers))])
     half_texel = 0.5 * level.texel_size  # A quad that is smaller than its one texel is not enlarged.
-    scales = half_texel * rectangles[:, 2:] / np.maximum(level.quads.half_sizes, half_texel)
+    scales = half_texel * level.atlas.quad_sizes / np.maximum(level.quads.half_sizes, half_texel)
     return AtlasPlacement(level.quads.centers, level.quads.frames, positions, np.minimum(scales.min(axis=1), 1.0))
 
 
@@ -155,9 +155,9 @@ def separate_heights(quads: np.ndarray | int, error: float) -> np.ndarray:
 def compute_cell_coordinates(level: Level, placement: AtlasPlacement, flat: np.ndarray, quads: np.ndarray) -> np.ndarray:
     """Compute where `flat` (K, 3, 3), points of the atlas plane, lie in the rectangles of `quads` (K,).
 
-    Returns (K, 3, 3): -1..1 across each rectangle with half of its gutter; the third component is 0.
+    Returns (K, 3, 3): -1..1 across each rectangle; the third component is 0.
     """
-    half_sizes = 0.5 * level.texel_size * (level.atlas.rectangles[:, 2:] + level.atlas.gutter)
+    half_sizes = 0.5 * level.texel_size * level.atlas.rectangles[:, 2:]
     coordinates = (flat - placement.positions[quads][:, None])[..., :2] / half_sizes[quads][:, None]
     return np.concatenate([coordinates, np.zeros_like(coordinates[..., :1])], axis=2)
 

@@ -76,8 +76,8 @@ def shade_translucency(render: np.ndarray, front_depth: np.ndarray, back_depth: 
 
 def compute_layer(name: str, renders: Mapping[str, np.ndarray], level: Level) -> LayerMaps | None:
     """Compute a layer from its premultiplied `renders` (H, W, 4) by side; None if no texel has it."""
-    radius = level.atlas.gutter // 2 + 1
-    sides = {side: mean_over_coverage(render, radius, np.inf) for side, render in renders.items()}
+    quads = level.atlas.quad_map
+    sides = {side: mean_over_coverage(render, maximum=np.inf, regions=quads) for side, render in renders.items()}
     known = np.concatenate([sides[side][render[..., 3] > MIN_COVERAGE] for side, render in renders.items()])
     if not len(known):
         return None

@@ -68,24 +68,23 @@ def compute_maps(
     int32 of the texels that get the color and alpha of the next texel of their quad, -1 elsewhere (see `silhouettes`). The depth of charts
     is 0, because they have the shape of the surface.
     """
-    radius = level.atlas.gutter // 2 + 1
-    directions = mean_over_coverage(normal, radius) * 2.0 - 1.0
+    quads = level.atlas.quad_map
+    directions = mean_over_coverage(normal, regions=quads) * 2.0 - 1.0
     lengths = np.linalg.norm(directions, axis=2, keepdims=True)
     directions = np.where(lengths > MIN_ALPHA, directions / np.maximum(lengths, MIN_ALPHA), np.float32([0.0, 0.0, 1.0]))
-    parameters = mean_over_coverage(roughness_metallic_depth, radius)
+    parameters = mean_over_coverage(roughness_metallic_depth, regions=quads)
     parameters[..., 2] = parameters[..., 2] * 2.0 - 1.0
     for quad, chart in enumerate(level.charts):
         depths = parameters[(*_cell(level, quad), 2)]
         depths -= depths if chart is not None else separate_heights(quad, 1.0)
     color = _fill_charts(np.clip(color, 0.0, None), level, uncovered)
-    return PbrMaps(grow_silhouette(color, continuation, radius), directions.astype(np.float32), parameters)
+    return PbrMaps(grow_silhouette(color, continuation, quads), directions.astype(np.float32), parameters)
 
 
 def _cell(level: Level, quad: int) -> tuple[slice, slice]:
-    """Return the rows and columns of the texels of a quad, with half of its gutter."""
+    """Return the rows and columns of the texels that belong to a quad."""
     x, y, width, height = level.atlas.rectangles[quad].tolist()
-    margin = level.atlas.gutter // 2
-    return slice(y - margin, y + height + margin), slice(x - margin, x + width + margin)
+    return slice(y, y + height), slice(x, x + width)
 
 
 def _fill_charts(color: np.ndarray, level: Level, uncovered: np.ndarray) -> np.ndarray:
@@ -139,7 +138,7 @@ def create_textured_material(name: str, level: Level, textures: LevelTextures) -
     """Create a material with the images of `textures`, packed and named after it."""
     images = {}
     for side, maps in (("Front", textures.front), ("Back", textures.back)):
-        for map_name, pixels in _encode_maps(maps, level.atlas.gutter).items():
+        for map_name, pixels in _encode_maps(maps, level.atlas.quad_map).items():
             images[side, map_name] = create_image(f"{name} {side} {map_name}", pixels, is_data=map_name != COLOR)
     layers = {
         layer: ShownLayer(maps.scale, create_layer_images(name, layer, maps), maps.constant) for layer, maps in textures.layers.items()
@@ -147,11 +146,11 @@ def create_textured_material(name: str, level: Level, textures: LevelTextures) -
     return create_cloud_material(name, images, SHADOWLESS_ERRORS * level.error, layers, textures.parameters)
 
 
-def _encode_maps(maps: PbrMaps, gutter: int) -> dict[str, np.ndarray]:
-    """Encode the maps of one side for 8-bit images: (H, W, 4) in 0..1, color as straight sRGB."""
+def _encode_maps(maps: PbrMaps, quads: np.ndarray) -> dict[str, np.ndarray]:
+    """Encode the maps of one side for 8-bit images: (H, W, 4) in 0..1, color as straight sRGB. quads: see `AtlasLayout.quad_map`."""
     straight = unpremultiply(maps.color)
     alpha = np.clip(straight[..., 3:], 0.0, 1.0)
-    color = dilate(straight[..., :3], maps.color[..., 3] * (maps.color[..., 3] > MIN_ALPHA), gutter // 2 + 1)
+    color = dilate(straight[..., :3], maps.color[..., 3] * (maps.color[..., 3] > MIN_ALPHA), regions=quads)
     parameters = maps.roughness_metallic_depth * np.float32([1.0, 1.0, 0.5]) + np.float32([0.0, 0.0, 0.5])
     opaque = np.ones_like(alpha)
     return {

@@ -28,8 +28,8 @@ class SurfaceContinuation:
         surface continues."""
         candidates = np.zeros(alphas[0].shape, bool)
         for alpha in alphas:
-            candidates |= (alpha < 1.0 - MIN_ALPHA) & (max_of_neighbors(alpha) > MIN_ALPHA)
-        quads = _rasterize_quads(level, level.joined)
+            candidates |= (alpha < 1.0 - MIN_ALPHA) & (max_of_neighbors(alpha, level.atlas.quad_map) > MIN_ALPHA)
+        quads = _map_quads(level, level.joined)
         row, column = np.nonzero(candidates & (quads >= 0))
         if self._mesh is None or len(row) == 0:  # The discs of a point cloud have no silhouette of their own.
             return quads >= 0
@@ -47,7 +47,7 @@ class SurfaceContinuation:
 
         Charts are cut by their triangles alone, and what they show must reach these everywhere.
         """
-        quads = _rasterize_quads(level, np.array([chart is not None for chart in level.charts]))
+        quads = _map_quads(level, np.array([chart is not None for chart in level.charts], bool))
         opaque = np.min(alphas, axis=0) >= 1.0 - MIN_ALPHA
         is_missed = np.zeros(quads.shape, bool)
         for quad in np.unique(quads[(quads >= 0) & ~opaque]):
@@ -60,7 +60,7 @@ class SurfaceContinuation:
             origins = placement.to_world(points, np.full(len(points), quad)) + (height - MAX_HEIGHT * level.error) * normal
             directions = np.broadcast_to(normal, origins.shape)
             is_missed[row, column] = ~self._cast_rays(origins, directions, 2.0 * MAX_HEIGHT * level.error)
-        is_near_missed = is_missed | (max_of_neighbors(is_missed.astype(np.float32)) > 0.0) & ~opaque
+        is_near_missed = is_missed | (max_of_neighbors(is_missed.astype(np.float32), level.atlas.quad_map) > 0.0) & ~opaque
         return np.where(is_near_missed, quads, -1)
 
     def _cast_rays(self, origins: np.ndarray, directions: np.ndarray, distance: float) -> np.ndarray:
@@ -79,13 +79,8 @@ class SurfaceContinuation:
         return np.array([self._bvh.ray_cast(Vector(origin), Vector(ray), max_distance)[0] is not None for origin, ray in rays], bool)
 
 
-def _rasterize_quads(level: Level, is_wanted: np.ndarray) -> np.ndarray:
-    """Return the index (H, W) int32 of the quad of each texel of the atlas, including half of the gutter; -1 for none, and for quads that
-    `is_wanted` (Q,) bool excludes."""
-    width, height = level.atlas.size
-    quads = np.full((height, width), -1, np.int32)
-    margin = level.atlas.gutter // 2
-    for quad in np.flatnonzero(is_wanted):
-        x, y, quad_width, quad_height = level.atlas.rectangles[quad]
-        quads[y - margin : y + quad_height + margin, x - margin : x + quad_width + margin] = quad
-    return quads
+def _map_quads(level: Level, is_wanted: np.ndarray) -> np.ndarray:
+    """Return the index (H, W) int32 of the quad to which each texel belongs; -1 for none, and for quads that `is_wanted` (Q,) bool
+    excludes."""
+    quads = level.atlas.quad_map
+    return np.where(np.append(is_wanted, False)[quads], quads, -1)

@@ -18,7 +18,7 @@ from .socket_sources import input_value, linked_output
 from .surface_layers import DEFAULT_VALUES, EMISSION, SUMMED_LAYERS, TRANSLUCENCY, TRANSMISSION, LayerValues
 
 CHANNELS = ("color", "normal", "roughness_metallic_depth")
-CELL_COORDINATES = "farfield_cell"  # attribute: position in the atlas cell, -1..1 across the rectangle and half its gutter
+CELL_COORDINATES = "farfield_cell"  # attribute: position in the atlas cell, -1..1 across the rectangle of a quad
 
 
 @dataclass(frozen=True)

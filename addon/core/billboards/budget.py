@@ -24,6 +24,7 @@ from .clustering.slabs import MIN_SLABS, cover_with_slabs
 from .error_search import MAX_ERROR, MIN_FRACTION, Attempt, search_error
 from .estimate import BYTES_PER_TEXEL, estimate_levels, sample_primitives
 from .levels import LevelBuilder
+from .lightness import keep_lighter_levels
 from .primitives import Components, Primitives
 from .settings import BillboardSettings
 
@@ -300,6 +301,8 @@ class _BudgetSearch:
         """Return the usage of the levels of `coverings`; infinite if no texture is large enough, or one is too large for the budget."""
         try:
             levels = self.builder.build_levels(primitives, components, coverings, error)
+            if not self.builder.settings.keeps_all_levels:
+                levels, _ = keep_lighter_levels(levels, self.builder.longest_side)
         except SettingsError:
             return math.inf
         is_too_large = any(math.prod(level.atlas.size) > self.budget.max_texels for level in levels)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -47,18 +48,27 @@ class Quads:
 class AtlasLayout:
     """Layout of the quads in one texture.
 
-    size: (width, height) in texels. rectangles (Q, 4) int32: x, y, width, height of each quad's texels without gutter, row 0 at the
-    bottom; the texel (x, y) is the corner (-u, -v) of the quad and u runs along x. gutter: texels between rectangles.
+    size: (width, height) in texels. rectangles (Q, 4) int32: x, y, width, height of the texels that belong to each quad, row 0 at the
+    bottom; rectangles may touch. quad_sizes (Q, 2) int32: width and height of each quad in texels. It is centered in its rectangle, at
+    least half a texel away from the sides; u runs along x, v along y.
     """
 
     size: tuple[int, int]
     rectangles: np.ndarray
-    gutter: int
+    quad_sizes: np.ndarray
 
     @property
     def texel_count(self) -> int:
-        """Number of texels in the rectangles, without gutters."""
-        return int((self.rectangles[:, 2].astype(np.int64) * self.rectangles[:, 3]).sum())
+        """Number of texels in the quads."""
+        return int(self.quad_sizes.astype(np.int64).prod(axis=1).sum())
+
+    @cached_property
+    def quad_map(self) -> np.ndarray:
+        """Index (H, W) int32 of the quad to which each texel belongs; -1 for none."""
+        quads = np.full(self.size[::-1], -1, np.int32)
+        for quad, (x, y, width, height) in enumerate(self.rectangles):
+            quads[y : y + height, x : x + width] = quad
+        return quads
 
 
 @dataclass(frozen=True)
@@ -126,7 +136,7 @@ class Level:
     @property
     def texel_count(self) -> int:
         """Number of texels inside the quads. A quad cut to a triangle counts half of its rectangle."""
-        sizes = self.atlas.rectangles[:, 2:].astype(np.int64).prod(axis=1)
+        sizes = self.atlas.quad_sizes.astype(np.int64).prod(axis=1)
         triangular = np.array([len(cutout) == 3 for cutout in self.cutouts])
         return int(np.where(triangular, 0.5 * sizes, sizes).sum())
 

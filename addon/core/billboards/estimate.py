@@ -1,4 +1,4 @@
-"""Estimates before a cloud is built: quads, triangles, texels and bytes of every level.
+"""Estimates within milliseconds, for any error: quads, triangles, texels and bytes of every level. `trial` is slower, and more accurate.
 
 The cluster that would grow around a face f is guessed from the faces that one quad at f could hold. The whole surface then needs about
 the sum over all faces of area(f) / area(cluster of f) quads, because the faces of a cluster of area a contribute a / a = 1 together. The

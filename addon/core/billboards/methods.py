@@ -6,11 +6,13 @@ that of the primitives.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..geometry.proximity import nearest_pairs
 from ..geometry.transforms import frames_from_normals
+from ..jobs.parallel_steps import run_in_parallel
 from ..jobs.progress import Progress, StageClock, Steps, subprogress
 from .clustering.absorption import absorb_small_patches, complete_regions
 from .clustering.cover import CoverSettings, cover_with_rectangles
@@ -42,9 +44,9 @@ def cover_by_clustering(
 ) -> Steps[list[Covering]]:
     """Generalized hierarchical face clustering (section 4.3), then the fewest overlapping quads that cover all primitives.
 
-    Every level is clustered from the primitives, on its own. With *Nested Levels* a coarser level merges the clusters of the finer one
-    instead, and each of its quads owns whole clusters. Loose sheets and other surfaces, such as leaves and trunk, never share a
-    quad.
+    Every level is clustered from the primitives, on its own, and levels side by side. With *Nested Levels* a coarser level merges the
+    clusters of the finer one instead, and each of its quads owns whole clusters. Loose sheets and other surfaces, such as leaves and
+    trunk, never share a quad.
     """
     yield Progress(0.0, "Finding neighbors")
     with clock.stage("neighbors"):
@@ -52,30 +54,60 @@ def cover_by_clustering(
         same_kind = components.sheets[pairs[:, 0]] == components.sheets[pairs[:, 1]]
         pairs, distances = pairs[same_kind], distances[same_kind]
         near = pairs[nearest_pairs(pairs, distances, len(primitives), REGION_NEIGHBORS)] if len(pairs) else pairs
+    clustering = _Clustering(primitives, components, settings, clock, (pairs, distances), near, reference_area)
+    if not settings.keeps_all_levels:
+        levels = run_in_parallel([clustering.cover(error, []) for error in errors[len(finished) :]])
+        return [*finished, *(yield from subprogress(levels, NEIGHBORS_FRACTION, 1.0))]
     coverings = list(finished)
     for level, start, stop in _progress_spans(len(finished), len(errors), NEIGHBORS_FRACTION):
-        finer = coverings if settings.keeps_all_levels else []
-        with clock.stage("normals"):
-            scale = errors[level - len(finer)]
-            scaled = at_scale(primitives, settings.normal_scale * scale, scale)
+        coverings.append((yield from subprogress(clustering.cover(errors[level], coverings, errors[0]), start, stop)))
+    return coverings
+
+
+@dataclass(frozen=True)
+class _Clustering:
+    """The input of `cover_by_clustering` for every level.
+
+    Attributes:
+        primitives: The primitives.
+        components: Their components.
+        settings: The settings.
+        clock: Measures the stages.
+        graph: Pairs (E, 2) of primitives of one kind and their distances (E,).
+        near: (F, 2) the pairs over which the region of a quad grows.
+        reference_area: See `cover_by_clustering`.
+    """
+
+    primitives: Primitives
+    components: Components
+    settings: BillboardSettings
+    clock: StageClock
+    graph: tuple[np.ndarray, np.ndarray]
+    near: np.ndarray
+    reference_area: float | None
+
+    def cover(self, error: float, finer: list[Covering], finest_error: float | None = None) -> Steps[Covering]:
+        """Cover the primitives within `error`, a length. finer: coverings that this one nests with, with errors from `finest_error` on."""
+        settings, sheets = self.settings, self.components.sheets
+        scale = finest_error or error
+        with self.clock.stage("normals"):
+            scaled = at_scale(self.primitives, settings.normal_scale * scale, scale)
         groups, fallback = _initial_groups(scaled, finer)
-        bounds = ClusterBounds(errors[level - len(finer)], settings.max_normal_deviation, settings.max_texture_waste)
-        merging = merge_in_rounds(scaled, groups, pairs, distances, bounds, len(finer))
-        with clock.stage("clusters"):
-            labels = yield from subprogress(merging, start, 0.5 * (start + stop))
+        bounds = ClusterBounds(scale, settings.max_normal_deviation, settings.max_texture_waste)
+        with self.clock.stage("clusters"):
+            labels = yield from subprogress(merge_in_rounds(scaled, groups, *self.graph, bounds, len(finer)), 0.0, 0.5)
         candidates = group_by_label(labels) + [patch.drawn for covering in finer[-1:] for patch in covering.patches]
         max_rounds = MAX_NESTED_COVER_ROUNDS if finer else MAX_COVER_ROUNDS
-        quad_cost = QUAD_COST * (reference_area or float(primitives.areas.sum())) / (int(labels.max()) + 1)
-        plane_bounds = PlaneBounds(errors[level], float(np.cos(settings.max_normal_deviation)))
-        steps = cover_with_rectangles(scaled, groups, fallback, near, candidates, CoverSettings(plane_bounds, quad_cost, max_rounds))
-        with clock.stage("cover"):
-            patches = yield from subprogress(steps, 0.5 * (start + stop), stop)
+        quad_cost = QUAD_COST * (self.reference_area or float(scaled.areas.sum())) / (int(labels.max()) + 1)
+        plane_bounds = PlaneBounds(error, float(np.cos(settings.max_normal_deviation)))
+        steps = cover_with_rectangles(scaled, groups, fallback, self.near, candidates, CoverSettings(plane_bounds, quad_cost, max_rounds))
+        with self.clock.stage("cover"):
+            patches = yield from subprogress(steps, 0.5, 1.0)
             if settings.normal_scale > 0.0:
-                patches = absorb_small_patches(scaled, components.sheets, patches, errors[level])
-                patches = complete_regions(primitives, components.sheets, patches, errors[level])
+                patches = absorb_small_patches(scaled, sheets, patches, error)
+                patches = complete_regions(self.primitives, sheets, patches, error)
         owner = assign_groups(scaled, patches, groups) if finer else best_facing_patch(scaled, patches)
-        coverings.append(Covering(patches, owner))
-    return coverings
+        return Covering(patches, owner)
 
 
 def _progress_spans(first: int, count: int, start: float) -> list[tuple[int, float, float]]:
@@ -109,19 +141,23 @@ def cover_by_hough(
     _reference_area: float | None = None,
 ) -> Steps[list[Covering]]:
     """Greedy planes in Hough space (section 4.1), each level independently."""
+    tasks = [_cover_in_hough_space(primitives, error, settings, clock) for error in errors[len(finished) :]]
+    return [*finished, *(yield from run_in_parallel(tasks))]
+
+
+def _cover_in_hough_space(primitives: Primitives, error: float, settings: BillboardSettings, clock: StageClock) -> Steps[Covering]:
+    """Cover `primitives` within `error`, a length."""
     from .hough.hough import find_planes
 
-    coverings = list(finished)
-    for level, start, stop in _progress_spans(len(finished), len(errors), 0.0):
-        steps = find_planes(primitives.positions, primitives.areas, primitives.normals, errors[level], settings.seed)
-        with clock.stage("planes"):
-            planes = yield from subprogress(steps, start, stop)
-        frames = frames_from_normals(planes.normals)
-        patches = []
-        for normal, offset, frame, drawn in zip(planes.normals, planes.offsets, frames, planes.drawn, strict=True):
-            patches.append(Patch(normal, float(offset), *fit_rectangle(primitives.positions[drawn], frame[:2]), drawn, drawn))
-        coverings.append(Covering(patches, planes.owner))
-    return coverings
+    steps = find_planes(primitives.positions, primitives.areas, primitives.normals, error, settings.seed)
+    with clock.stage("planes"):
+        planes = yield from steps
+    frames = frames_from_normals(planes.normals)
+    patches = []
+    for normal, offset, frame, drawn in zip(planes.normals, planes.offsets, frames, planes.drawn, strict=True):
+        points = primitives.points[primitives.find_points(drawn)]
+        patches.append(Patch(normal, float(offset), *fit_rectangle(points, frame[:2]), drawn, drawn))
+    return Covering(patches, planes.owner)
 
 
 def cover_by_decimation(
@@ -138,19 +174,23 @@ def cover_by_decimation(
     Every triangle of the result becomes a quad; triangles in one plane share a quad. Unassigned faces are clustered. Flat surfaces are not
     decimated.
     """
-    coverings = list(finished)
-    for level, start, stop in _progress_spans(len(finished), len(errors), 0.0):
-        bounds = PlaneBounds(errors[level], float(np.cos(settings.max_normal_deviation)))
-        flat, covering = cover_flat_surfaces(primitives, components, bounds, QUAD_COST)
-        if len(flat):
-            yield Progress(start, "Covering flat surfaces")
-        parts = [(flat, covering)]
-        rest = np.setdiff1d(np.arange(len(primitives)), flat)
-        if len(rest):
-            steps = _decimate(primitives.subset(rest), components.subset(rest), bounds, settings, clock)
-            parts.append((rest, (yield from subprogress(steps, start, stop))))
-        coverings.append(merge_coverings(parts, len(primitives)))
-    return coverings
+    tasks = [_cover_with_decimation(primitives, components, error, settings, clock) for error in errors[len(finished) :]]
+    return [*finished, *(yield from run_in_parallel(tasks))]
+
+
+def _cover_with_decimation(
+    primitives: Primitives, components: Components, error: float, settings: BillboardSettings, clock: StageClock
+) -> Steps[Covering]:
+    """Cover `primitives` within `error`, a length."""
+    bounds = PlaneBounds(error, float(np.cos(settings.max_normal_deviation)))
+    flat, covering = cover_flat_surfaces(primitives, components, bounds, QUAD_COST)
+    if len(flat):
+        yield Progress(0.0, "Covering flat surfaces")
+    parts = [(flat, covering)]
+    rest = np.setdiff1d(np.arange(len(primitives)), flat)
+    if len(rest):
+        parts.append((rest, (yield from _decimate(primitives.subset(rest), components.subset(rest), bounds, settings, clock))))
+    return merge_coverings(parts, len(primitives))
 
 
 def _decimate(

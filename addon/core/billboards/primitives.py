@@ -56,6 +56,12 @@ class Primitives:
         """Pairs (E, 2) int32 of neighboring primitives and their distances (E,), see `neighbor_pairs`. Independent of the error."""
         return neighbor_pairs(self.positions, NEIGHBOR_COUNT)
 
+    def find_points(self, indices: np.ndarray) -> np.ndarray:
+        """Return which points (N,), ascending, the primitives `indices` (K,) use: far fewer than their corners."""
+        is_used = np.zeros(len(self.points), bool)
+        is_used[self.corners[indices]] = True
+        return np.flatnonzero(is_used)
+
     def subset(self, indices: np.ndarray) -> "Primitives":
         """Return the primitives `indices` (K,) in that order. Keeps all points."""
         return Primitives(self.points, self.corners[indices], self.areas[indices], self.normals[indices])

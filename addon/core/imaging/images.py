@@ -23,29 +23,30 @@ def unpremultiply(image: np.ndarray) -> np.ndarray:
     return np.concatenate([straight, alpha], axis=2)
 
 
-def mean_over_coverage(image: np.ndarray, radius: int = 4, maximum: float = 1.0) -> np.ndarray:
+def mean_over_coverage(image: np.ndarray, radius: int = 4, maximum: float = 1.0, regions: np.ndarray | None = None) -> np.ndarray:
     """Return the straight values (H, W, 3) of a premultiplied `image` (H, W, 4), clamped to 0..maximum.
 
-    Texels without coverage are filled from their neighbors, see `dilate`.
+    Texels without coverage are filled from their neighbors, in the same one of the `regions`, see `dilate`.
     """
     coverage = image[..., 3]
     mean = image[..., :3] / np.maximum(coverage, MIN_ALPHA)[..., None]
-    return dilate(np.clip(mean, 0.0, maximum), coverage, radius)
+    return dilate(np.clip(mean, 0.0, maximum), coverage, radius, regions)
 
 
-def dilate(image: np.ndarray, known: np.ndarray, radius: int = 4) -> np.ndarray:
+def dilate(image: np.ndarray, known: np.ndarray, radius: int = 4, regions: np.ndarray | None = None) -> np.ndarray:
     """Return `image` (H, W, C) with a value in every texel: known texels stay, the others are filled from the known ones around them.
 
     known: (H, W) bool, or coverage 0..1, which counts as known above zero and weights the neighbors. Up to `radius` texels away a value is
     the mean of its nearest known neighbors, so that no chart bleeds into the next within a gutter of twice that. Farther away it comes
     from an image pyramid (pull-push), so that every texel of every mipmap level has a color. An image with nothing known is unchanged.
+    regions: (H, W) int, texels count as neighbors only within the same region, so that charts may touch.
     """
     filled = np.where((known > MIN_ALPHA)[..., None], image, image.dtype.type(0.0)) if (known > MIN_ALPHA).any() else image
-    dilate_in_place(filled, known, radius)
+    dilate_in_place(filled, known, radius, regions)
     return filled
 
 
-def dilate_in_place(image: np.ndarray, known: np.ndarray, radius: int = 4) -> None:
+def dilate_in_place(image: np.ndarray, known: np.ndarray, radius: int = 4, regions: np.ndarray | None = None) -> None:
     """Do what `dilate` does to an `image` (H, W, C) that is contiguous; it needs little more memory than a channel."""
     height, width, channels = image.shape
     weight = known.astype(np.float32)
@@ -64,11 +65,14 @@ def dilate_in_place(image: np.ndarray, known: np.ndarray, radius: int = 4) -> No
             inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
             neighbors = np.clip(row, 0, height - 1) * width + np.clip(column, 0, width - 1)
             weight_there = weights[neighbors] * inside
+            if regions is not None:
+                weight_there *= regions.reshape(-1)[neighbors] == regions[rows, columns]
             sums += weight_there[:, None] * flat[neighbors]
             totals += weight_there
-        filled = rows * width + columns
-        flat[filled] = sums / totals[:, None]
-        weights[filled] = np.minimum(totals, 1.0)
+        is_filled = totals > 0.0
+        filled = (rows * width + columns)[is_filled]
+        flat[filled] = sums[is_filled] / totals[is_filled, None]
+        weights[filled] = np.minimum(totals[is_filled], 1.0)
     _pull_push(image, weight[..., None])
 
 
@@ -79,21 +83,25 @@ def nearest_known(known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return tuple(distance_transform_edt(~known, return_distances=False, return_indices=True))
 
 
-def grow_silhouette(image: np.ndarray, region: np.ndarray, radius: int) -> np.ndarray:
-    """Grow the opaque parts of a premultiplied `image` (H, W, 4) by one texel within `region` (H, W) bool.
+def grow_silhouette(image: np.ndarray, allowed: np.ndarray, regions: np.ndarray) -> np.ndarray:
+    """Grow the opaque parts of a premultiplied `image` (H, W, 4) by one texel where `allowed` (H, W) bool, within `regions` (H, W) int.
 
-    Alpha becomes the maximum of the texel and its four neighbors; colors come from up to `radius` texels away.
+    Alpha becomes the maximum of the texel and its four neighbors; colors come from the known texels around it, see `dilate`.
     """
     alpha = image[..., 3]
-    grown = np.where(region, np.maximum(alpha, max_of_neighbors(alpha)), alpha)[..., None]
-    straight = dilate(unpremultiply(image)[..., :3], alpha, radius)
+    grown = np.where(allowed, np.maximum(alpha, max_of_neighbors(alpha, regions)), alpha)[..., None]
+    straight = dilate(unpremultiply(image)[..., :3], alpha, regions=regions)
     return np.concatenate([straight * grown, grown], axis=2)
 
 
-def max_of_neighbors(values: np.ndarray) -> np.ndarray:
-    """Return the maximum (H, W) of the four neighbors of each of `values` (H, W), with 0 outside the image."""
-    padded = np.pad(values, 1)
-    return np.max([padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:]], axis=0)
+def max_of_neighbors(values: np.ndarray, regions: np.ndarray) -> np.ndarray:
+    """Return the maximum (H, W) of the four neighbors of each of `values` (H, W) in the same one of `regions` (H, W) int, at least 0."""
+    result = np.zeros_like(values)
+    for lower, upper in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
+        is_same = regions[lower] == regions[upper]
+        result[lower] = np.maximum(result[lower], values[upper] * is_same)
+        result[upper] = np.maximum(result[upper], values[lower] * is_same)
+    return result
 
 
 def sample_bilinear(image: np.ndarray, positions: np.ndarray) -> np.ndarray:

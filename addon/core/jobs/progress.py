@@ -66,10 +66,11 @@ def time_left(elapsed: float, fraction: float) -> float | None:
 
 
 class StageClock:
-    """Wall-clock seconds by stage name, summed over repeated stages."""
+    """Wall-clock seconds by stage name, summed over repeated stages, and over threads."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
+        self._lock = threading.Lock()
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -78,7 +79,8 @@ class StageClock:
         try:
             yield
         finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+            with self._lock:
+                self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
 
 
 class BackgroundThread(Generic[Result]):

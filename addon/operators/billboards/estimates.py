@@ -1,19 +1,23 @@
-"""Estimates for the panel, computed once per state of the selection and settings, and never while the panel is drawn."""
+"""Estimates for the panel, computed once per state of the selection and settings, in the background."""
 
 from dataclasses import dataclass
+from itertools import zip_longest
 
 import bpy
 
 from ...bridge.billboards import clouds
 from ...bridge.billboards.scene_clouds import clouds_of_levels
-from ...core.billboards.estimate import LevelEstimate, SurfaceSample, estimate_levels, sample_geometry
+from ...core.billboards.estimate import LevelEstimate
 from ...core.billboards.settings import BillboardSettings
+from ...core.billboards.trial import Trial, estimate_by_trial, prepare_trial
 from ...core.errors import FarfieldError
+from ...core.jobs.progress import BackgroundThread, Steps, run_to_end
 from .. import long_work
 from .sources import read_sources
 
 MAX_AUTOMATIC_FACES = 200_000  # Larger selections are estimated only on request: reading them would block the interface too long.
 DELAY = 0.3  # Seconds without a change before an automatic estimate starts.
+POLL_SECONDS = 0.1  # Between two looks whether an automatic estimate has ended.
 
 
 @dataclass(frozen=True)
@@ -36,13 +40,14 @@ class EstimateResult:
 
 
 class EstimateCache:
-    """The latest estimate, the surface samples that it was computed from, and the estimate to compute next."""
+    """The latest estimate, the trials that it was computed from, and the estimate to compute next or in the background."""
 
     def __init__(self) -> None:
         self._result: tuple[EstimateKey, EstimateResult] | None = None
-        self._samples: tuple[tuple, list[SurfaceSample]] | None = None
+        self._trials: tuple[tuple, list[Trial]] | None = None
         self._pending: EstimateKey | None = None
-        self._timer = self._compute_pending  # One bound method: Blender recognizes a timer by the identity of its function.
+        self._thread: BackgroundThread[list[LevelEstimate]] | None = None  # Computes the estimate for `_pending`.
+        self._timer = self._advance_pending  # One bound method: Blender recognizes a timer by the identity of its function.
 
     def find(self, key: EstimateKey) -> EstimateResult | None:
         """Return the result for `key` if it is known."""
@@ -55,8 +60,8 @@ class EstimateCache:
             return False
         if key == self._pending:
             return True
+        self._cancel_pending()
         self._pending = key
-        self._unregister_timer()
         bpy.app.timers.register(self._timer, first_interval=DELAY)
         return True
 
@@ -66,38 +71,53 @@ class EstimateCache:
         Raises:
             FarfieldError: no cloud can be built from the objects.
         """
-        samples_key = (key.objects, key.combine_selected)
-        if self._samples is None or self._samples[0] != samples_key:
-            objects = [bpy.data.objects[item[0]] for item in key.objects[: key.selected_count]]
-            sources, _ = read_sources(context, objects, key.combine_selected)
-            self._samples = samples_key, [sample_geometry(source.geometry, source.name) for source in sources]
-        per_cloud = [estimate_levels(sample, key.settings) for sample in self._samples[1]]
-        self._result = key, EstimateResult([_sum(levels) for levels in zip(*per_cloud, strict=True)])
+        self._result = key, EstimateResult(run_to_end(_estimate(self._read_trials(context, key), key.settings)))
         return self._result[1]
 
     def clear(self) -> None:
         """Discard all results and the scheduled estimate."""
-        self._result = self._samples = self._pending = None
-        self._unregister_timer()
+        self._result = self._trials = None
+        self._cancel_pending()
 
-    def _compute_pending(self) -> None:
-        key, self._pending = self._pending, None
+    def _read_trials(self, context: bpy.types.Context, key: EstimateKey) -> list[Trial]:
+        """Return the trials of the objects of `key`. Raises FarfieldError, see `compute`."""
+        trials_key = (key.objects, key.combine_selected)
+        if self._trials is None or self._trials[0] != trials_key:
+            objects = [bpy.data.objects[item[0]] for item in key.objects[: key.selected_count]]
+            sources, _ = read_sources(context, objects, key.combine_selected)
+            self._trials = trials_key, [prepare_trial(source.geometry, source.name) for source in sources]
+        return self._trials[1]
+
+    def _advance_pending(self) -> float | None:
+        """Begin the pending estimate, or store its result if it has ended. Returns the seconds until the next call, None for none."""
+        key = self._pending
         if long_work.current_run() is not None or not _all_exist(key.objects):
-            return
+            self._cancel_pending()
+            return None
         try:
-            self.compute(bpy.context, key)
+            if self._thread is None:
+                self._thread = BackgroundThread(_estimate(self._read_trials(bpy.context, key), key.settings))
+            if not self._thread.is_done:
+                return POLL_SECONDS
+            self._result = key, EstimateResult(self._thread.result())
         except FarfieldError as error:
             self._result = key, EstimateResult([], str(error))
+        self._pending = self._thread = None
         long_work.redraw_sidebars(bpy.context.window_manager)
+        return None
 
     def _evict_deleted(self) -> None:
         """Discard results of objects that were deleted or renamed."""
         if self._result is not None and not _all_exist(self._result[0].objects):
             self._result = None
-        if self._samples is not None and not _all_exist(self._samples[0][0]):
-            self._samples = None
+        if self._trials is not None and not _all_exist(self._trials[0][0]):
+            self._trials = None
 
-    def _unregister_timer(self) -> None:
+    def _cancel_pending(self) -> None:
+        """Forget the pending estimate; its thread ends soon."""
+        if self._thread is not None:
+            self._thread.cancel()
+        self._pending = self._thread = None
         if bpy.app.timers.is_registered(self._timer):
             bpy.app.timers.unregister(self._timer)
 
@@ -124,7 +144,15 @@ def _counts(item: bpy.types.Object) -> tuple[int, int]:
     return (len(item.data.vertices), len(item.data.polygons)) if item.type == "MESH" else (0, 0)
 
 
-def _sum(levels: tuple[LevelEstimate, ...]) -> LevelEstimate:
+def _estimate(trials: list[Trial], settings: BillboardSettings) -> Steps[list[LevelEstimate]]:
+    """Estimate the levels of all clouds together; some have fewer levels than others."""
+    clouds_levels = []
+    for trial in trials:
+        clouds_levels.append((yield from estimate_by_trial(trial, settings)))
+    return [_sum([level for level in levels if level is not None]) for levels in zip_longest(*clouds_levels)]
+
+
+def _sum(levels: list[LevelEstimate]) -> LevelEstimate:
     return LevelEstimate(
         error=max(level.error for level in levels),
         quads=sum(level.quads for level in levels),

@@ -1,12 +1,12 @@
 """Absorption of quads that are too small to see: what they show moves to larger quads within the error, whatever its normals."""
 
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 
 from ..primitives import Primitives
 from .patches import Patch
-from .planes import PlaneBounds
 from .rectangles import compute_bounds, rectangle_area
 
 MAX_SPECK = 2.0  # Longer side of a quad that counts as a speck, in errors: a pixel at the switch distance covers one error.
@@ -112,12 +112,13 @@ def complete_regions(primitives: Primitives, sheets: np.ndarray, patches: list[P
     solid = np.flatnonzero(~sheets)
     if len(solid) == 0:
         return patches
-    positions, normals = primitives.positions[solid], primitives.normals[solid]
+    corners, normals = primitives.corners[solid], primitives.normals[solid]
     completed = []
     for patch in patches:
         if sheets[patch.drawn[0]]:
             completed.append(patch)
             continue
-        is_near = PlaneBounds(error, MIN_FACING).contain(positions, normals, patch.normal, patch.offset)
+        is_point_near = np.abs(primitives.points @ patch.normal - patch.offset) <= error
+        is_near = (normals @ patch.normal >= MIN_FACING) & reduce(np.logical_and, (is_point_near[column] for column in corners.T))
         completed.append(replace(patch, region=np.union1d(patch.region, solid[is_near])))
     return completed

@@ -44,7 +44,7 @@ class Clusters:
 
     def __init__(self, primitives: Primitives, groups: np.ndarray) -> None:
         """`groups` (P,) int32: initial cluster 0..N-1 of each primitive."""
-        self.primitives = primitives
+        self.points, self.normals = np.ascontiguousarray(primitives.points.T), np.ascontiguousarray(primitives.normals.T)
         members = np.argsort(groups, kind="stable")
         starts = np.searchsorted(groups[members], np.arange(int(groups.max()) + 1))
         centroids = primitives.positions.mean(axis=1)
@@ -79,17 +79,15 @@ class Clusters:
         means = (self.first_moments[a] + self.first_moments[b]) / areas[:, None]
         second_moments = (self.second_moments[a] + self.second_moments[b]) / areas[:, None, None]
         axes = np.linalg.eigh(second_moments - means[:, :, None] * means[:, None, :])[1]
-        is_farther = self.corner_heights[:, a] >= self.corner_heights[:, b]
-        corners = np.where(is_farther, self.extreme_corners[:, a], self.extreme_corners[:, b])
-        extents = [np.ptp(_project(self.primitives.points, corners, axes[:, :, axis]), axis=0) for axis in range(3)]
+        corners = _choose_farther(self.corner_heights, self.extreme_corners, a, b)
+        extents = [np.ptp(_project(self.points, corners, axes[:, :, axis]), axis=0) for axis in range(3)]
         waste = extents[1] * extents[2] / areas
         levels = np.ceil(np.log2(np.maximum(0.5 * extents[0] / bounds.error, 1.0)))
         plane_normals = axes[:, :, 0]
         is_flipped = np.einsum("mi,mi->m", plane_normals, self.normal_sums[a] + self.normal_sums[b]) < 0.0
         plane_normals = plane_normals * np.where(is_flipped, -1.0, 1.0)[:, None]
-        is_closer = self.normal_heights[:, a] >= self.normal_heights[:, b]
-        normals = np.where(is_closer, self.extreme_normals[:, a], self.extreme_normals[:, b])
-        cosines = _project(self.primitives.normals, normals, plane_normals).min(axis=0)
+        normals = _choose_farther(self.normal_heights, self.extreme_normals, a, b)
+        cosines = _project(self.normals, normals, plane_normals).min(axis=0)
         costs = waste + levels * bounds.max_texture_waste
         forbidden = (waste > bounds.max_texture_waste) | (cosines < np.cos(bounds.max_normal_deviation)) | (levels > coarsest)
         return np.where(forbidden, np.inf, costs)
@@ -99,9 +97,14 @@ class Clusters:
         return map_chunks(lambda chunk: self.merge_costs(chunk[:, 0], chunk[:, 1], bounds, coarsest), pairs, PAIRS_PER_CHUNK)
 
 
+def _choose_farther(heights: np.ndarray, extremes: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the `extremes` (D, N) of the columns `a` or `b` (M,), per entry (D, M) of that with the larger of `heights` (D, N)."""
+    return np.where(heights[:, a] >= heights[:, b], extremes[:, a], extremes[:, b])
+
+
 def _project(vectors: np.ndarray, indices: np.ndarray, axes: np.ndarray) -> np.ndarray:
-    """Compute the heights (D, M) of vectors[indices] (D, M, 3) along the axes (M, 3)."""
-    return vectors[indices, 0] * axes[:, 0] + vectors[indices, 1] * axes[:, 1] + vectors[indices, 2] * axes[:, 2]
+    """Compute the heights (D, M) of the rows `indices` (D, M) of `vectors` along the axes (M, 3). vectors: (3, N), columns of its rows."""
+    return vectors[0].take(indices) * axes[:, 0] + vectors[1].take(indices) * axes[:, 1] + vectors[2].take(indices) * axes[:, 2]
 
 
 def _find_extremes(heights: np.ndarray, members: np.ndarray, starts: np.ndarray) -> np.ndarray:

@@ -133,6 +133,6 @@ def _find_support_points(primitives: Primitives, sets: list[np.ndarray], means: 
     directions = np.einsum("si,qij->qsj", local, frames_from_normals(means))
     support = np.empty((len(sets), SUPPORT_COUNT, 3))
     for index, members in enumerate(sets):
-        points = primitives.positions[members].reshape(-1, 3)
+        points = primitives.points[primitives.find_points(members)]
         support[index] = points[(points @ directions[index].T).argmax(axis=0)]
     return support

@@ -57,7 +57,11 @@ _AXES = np.stack([np.concatenate([np.cos(_ANGLES), -np.sin(_ANGLES)]), np.concat
 
 def compute_bounds(positions: np.ndarray, axes: np.ndarray) -> np.ndarray:
     """Compute the bounds (K, 4) u_min, u_max, v_min, v_max along `axes` (2, 3) of primitives with corner `positions` (K, C, 3)."""
-    local = positions @ axes.T
+    return bounds_of_corners(positions @ axes.T)
+
+
+def bounds_of_corners(local: np.ndarray) -> np.ndarray:
+    """Return the bounds (K, 4) of primitives with the corners `local` (K, C, 2)."""
     corners = [local[:, corner] for corner in range(local.shape[1])]  # Separately, because NumPy is slow along short axes.
     bounds = np.empty((len(local), 4))
     bounds[:, 0::2] = reduce(np.minimum, corners)
@@ -70,10 +74,10 @@ def enclosing_rectangle(bounds: np.ndarray) -> np.ndarray:
     return np.array([bounds[:, 0].min(), bounds[:, 1].max(), bounds[:, 2].min(), bounds[:, 3].max()])
 
 
-def fit_rectangle(positions: np.ndarray, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the axes (2, 3) and bounds (4,) of the smallest rectangle around `positions` (K, C, 3) in the plane of `frame` (2, 3)."""
-    axes = min_area_axes(positions.reshape(-1, 3) @ frame.T) @ frame
-    return axes, enclosing_rectangle(compute_bounds(positions, axes))
+def fit_rectangle(points: np.ndarray, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the axes (2, 3) and bounds (4,) of the smallest rectangle around `points` (N, 3) in the plane of `frame` (2, 3)."""
+    axes = min_area_axes(points @ frame.T) @ frame
+    return axes, enclosing_rectangle(compute_bounds(points[:, None], axes))
 
 
 def rectangle_area(rectangle: np.ndarray) -> float:

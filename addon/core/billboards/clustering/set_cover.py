@@ -11,6 +11,7 @@ from .patches import Patch
 from .planes import Planes
 from .rectangles import (
     approximate_min_area_axes,
+    bounds_of_corners,
     compute_bounds,
     crop_rectangle,
     enclosing_rectangle,
@@ -24,11 +25,13 @@ MAX_SHRINK_PASSES = 3
 
 
 class _Candidate:
-    """A candidate plane: the primitives that it could show, their positions in the plane, and the rectangle that it last proposed."""
+    """A candidate plane: the primitives that it could show, their points in the plane, and the rectangle that it last proposed."""
 
     def __init__(self, primitives: Primitives, axes: np.ndarray, region: np.ndarray) -> None:
         self.axes, self.region = axes, region
-        self.local = primitives.positions[region] @ axes.T
+        points = primitives.find_points(region)
+        self.corners = np.searchsorted(points, primitives.corners[region])
+        self.local = primitives.points[points] @ axes.T
         self.areas = primitives.areas[region]
         self.uncovered_count = -1
         self.worth, self.rotation, self.rectangle = 0.0, np.eye(2), np.zeros(4)
@@ -39,17 +42,19 @@ class _Candidate:
         count = int(is_uncovered.sum())
         if count in (0, self.uncovered_count):  # Covered primitives stay covered: an equal count means an equal set.
             return count > 0
-        local = self.local[is_uncovered]
         self.uncovered_count = count
-        self.rotation = approximate_min_area_axes(local.reshape(-1, 2))
-        bounds = compute_bounds(local, self.rotation)
+        corners = self.corners[is_uncovered]
+        is_used = np.zeros(len(self.local), bool)
+        is_used[corners] = True
+        self.rotation = approximate_min_area_axes(self.local[is_used])
+        bounds = bounds_of_corners((self.local @ self.rotation.T)[corners])
         self.worth, kept = crop_rectangle(bounds, self.areas[is_uncovered], quad_cost)
         self.rectangle = enclosing_rectangle(bounds[kept])
         return True
 
     def covered(self) -> np.ndarray:
         """Return the primitives of the region inside the proposed rectangle."""
-        return self.region[is_inside(compute_bounds(self.local, self.rotation), self.rectangle)]
+        return self.region[is_inside(bounds_of_corners((self.local @ self.rotation.T)[self.corners]), self.rectangle)]
 
 
 def choose_rectangles(
@@ -108,7 +113,7 @@ def shrink_patches(primitives: Primitives, patches: list[Patch], quad_cost: floa
 
 def _fit_rectangle(primitives: Primitives, patch: Patch, required: np.ndarray) -> Patch:
     """Return `patch` with the smallest rectangle around the primitives `required`, showing all primitives of its region inside."""
-    axes, rectangle = fit_rectangle(primitives.positions[required], patch.axes)
+    axes, rectangle = fit_rectangle(primitives.points[primitives.find_points(required)], patch.axes)
     if rectangle_area(rectangle) >= rectangle_area(patch.rectangle) * (1.0 - ROUNDING):
         return patch
     drawn = patch.region[is_inside(compute_bounds(primitives.positions[patch.region], axes), rectangle)]

@@ -32,7 +32,7 @@ def cover_with_slabs(primitives: Primitives, longest_side: float, count: int) ->
     for index, ((normal, members), (low, high)) in enumerate(zip(slabs, bounds, strict=True)):
         owner[members] = index
         first = np.roll(np.abs(normal), 1)
-        axes, rectangle = fit_rectangle(primitives.positions[members], np.array([first, np.cross(normal, first)]))
+        axes, rectangle = fit_rectangle(primitives.points[primitives.find_points(members)], np.array([first, np.cross(normal, first)]))
         patches.append(Patch(normal, 0.5 * (low + high), axes, rectangle, members, members))
     error = max(0.5 * (high - low) for low, high in bounds)
     return Covering(patches, owner), (1.0 + MARGIN) * max(error / longest_side, MARGIN)

@@ -84,7 +84,7 @@ class _PatchBuilder:
             return None
         frame = frames_from_normals(normal[None])[0, :2]
         points = np.concatenate([corners.reshape(-1, 3), positions.reshape(-1, 3)])
-        axes, rectangle = fit_rectangle(points[:, None], frame)
+        axes, rectangle = fit_rectangle(points, frame)
         region = np.union1d(faces, self._find_touching(normal, offset, axes, rectangle))
         return Patch(normal, offset, axes, rectangle, faces, region)
 
@@ -136,7 +136,7 @@ def cover_flat_surfaces(
         sign = 1.0 if cosines[members[0]] > 0.0 else -1.0
         first = sum(len(other) for other in indices)
         drawn, frame = np.arange(first, first + len(members)), frames_from_normals(sign * normal[None])[0, :2]
-        patch = Patch(sign * normal, sign * offset, *fit_rectangle(primitives.positions[members], frame), drawn, drawn)
+        patch = Patch(sign * normal, sign * offset, *fit_rectangle(primitives.points[primitives.find_points(members)], frame), drawn, drawn)
         areas = primitives.areas[members]
         if rectangle_area(patch.rectangle) <= areas.sum() + quad_cost * areas.mean() * (len(members) - 1):
             indices.append(members)

@@ -1,0 +1,97 @@
+"""Tests of estimates by a trial: within 1.5 times of the build on every level, and equal to it where the source has few triangles."""
+
+import math
+from dataclasses import astuple
+
+import numpy as np
+import pytest
+
+from farfield.addon.core.billboards import trial
+from farfield.addon.core.billboards.build import build_cloud
+from farfield.addon.core.billboards.estimate import BYTES_PER_TEXEL
+from farfield.addon.core.billboards.settings import BillboardSettings
+from farfield.addon.core.errors import GeometryError, SettingsError
+from farfield.addon.core.geometry.mesh import PointCloud, TriangleMesh, concatenate, connected_components
+from farfield.addon.core.jobs.progress import run_to_end
+from shapes import box, bumpy_sphere, leaf_cards, sphere
+
+FACTOR = 1.5
+
+
+def estimate(source, **settings):
+    return run_to_end(trial.estimate_by_trial(trial.prepare_trial(source, "source"), BillboardSettings(**settings)))
+
+
+def build(source, **settings):
+    """Return error, quads, triangles, texels and bytes of each level."""
+    levels = run_to_end(build_cloud(source, BillboardSettings(**settings), "source")).levels
+    return [
+        (level.error, len(level.quads), level.triangle_count, level.texel_count, math.prod(level.atlas.size) * BYTES_PER_TEXEL)
+        for level in levels
+    ]
+
+
+def wavy_sphere(rings: int) -> TriangleMesh:
+    """Return a sphere with waves of a tenth of its radius."""
+    mesh = sphere(rings)
+    x, y, z = mesh.vertices.T
+    return TriangleMesh(mesh.vertices * (1.0 + 0.1 * np.sin(6.0 * x) * np.cos(5.0 * y + z))[:, None], mesh.triangles)
+
+
+def scattered_boxes(count: int, cuts: int) -> TriangleMesh:
+    """Return boxes of random places and sizes, each a component of its own."""
+    random = np.random.default_rng(5)
+    boxes = []
+    for _ in range(count):
+        one = box(cuts=cuts)
+        boxes.append(TriangleMesh(one.vertices * random.uniform(0.05, 0.3, 3) + random.uniform(-1.0, 1.0, 3), one.triangles))
+    return concatenate(boxes)
+
+
+@pytest.mark.parametrize("source", [bumpy_sphere(6), box(cuts=2)], ids=["bumpy sphere", "box"])
+def test_a_small_source_is_estimated_exactly(source):
+    assert [astuple(level) for level in estimate(source, error=0.02)] == build(source, error=0.02)
+    assert [astuple(level) for level in estimate(source, quads=20)] == build(source, quads=20)
+
+
+@pytest.mark.parametrize("source", [sphere(48), wavy_sphere(40), scattered_boxes(40, 5)], ids=["sphere", "waves", "boxes"])
+def test_estimates_are_within_one_and_a_half_times_on_every_level(source, monkeypatch):
+    monkeypatch.setattr(trial, "MAX_PRIMITIVES", len(source.triangles) // 3)
+    settings = {"error": 0.02, "levels": 2}
+    estimated, built = estimate(source, **settings), build(source, **settings)
+    assert len(estimated) == len(built)
+    for level, figures in zip(estimated, built, strict=True):
+        ratios = np.array(astuple(level)) / figures
+        assert ratios[0] == pytest.approx(1.0, rel=0.01)
+        assert (ratios < FACTOR).all() and (ratios > 1.0 / FACTOR).all()
+
+
+def test_parts_of_a_reduced_source_stay_separate(monkeypatch):
+    source = scattered_boxes(10, 6)
+    monkeypatch.setattr(trial, "MAX_PRIMITIVES", len(source.triangles) // 2)
+    reduced = trial.prepare_trial(source, "source").geometry
+    assert 0 < len(reduced.triangles) <= len(source.triangles) // 2
+    assert connected_components(reduced.vertices, reduced.triangles).max() == 9
+
+
+def test_leaves_that_would_vanish_are_sampled(monkeypatch):
+    monkeypatch.setattr(trial, "MAX_PRIMITIVES", 40)
+    leaves = leaf_cards(100)
+    assert trial.prepare_trial(leaves, "leaves").geometry is None
+    assert estimate(leaves, levels=1)[0].quads > 1
+
+
+def test_points_are_thinned_and_keep_their_area(monkeypatch):
+    monkeypatch.setattr(trial, "MAX_PRIMITIVES", 500)
+    normals = sphere(20).vertices / np.linalg.norm(sphere(20).vertices, axis=1, keepdims=True)
+    cloud = PointCloud(normals, normals, np.full(len(normals), 0.1))
+    reduced = trial.prepare_trial(cloud, "points").geometry
+    assert len(reduced.points) == 500
+    assert (reduced.radii**2).sum() == pytest.approx((cloud.radii**2).sum())
+
+
+def test_unusable_sources_and_budgets_are_refused():
+    with pytest.raises(GeometryError, match="Bare"):
+        trial.prepare_trial(TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32)), "Bare")
+    with pytest.raises(SettingsError, match="set only one budget"):
+        estimate(box(cuts=1), quads=20, triangles=40)
