@@ -54,15 +54,18 @@ def test_a_small_source_is_estimated_exactly(source):
     assert [astuple(level) for level in estimate(source, quads=20)] == build(source, quads=20)
 
 
+@pytest.mark.parametrize("solid_parts", ["mesh", "quads"])
 @pytest.mark.parametrize("source", [sphere(48), wavy_sphere(40), scattered_boxes(40, 5)], ids=["sphere", "waves", "boxes"])
-def test_estimates_are_within_one_and_a_half_times_on_every_level(source, monkeypatch):
+def test_estimates_are_within_one_and_a_half_times_on_every_level(source, solid_parts, monkeypatch):
     monkeypatch.setattr(trial, "MAX_PRIMITIVES", len(source.triangles) // 3)
-    settings = {"error": 0.02, "levels": 2}
+    settings = {"error": 0.02, "levels": 2, "solid_parts": solid_parts}
     estimated, built = estimate(source, **settings), build(source, **settings)
     assert len(estimated) == len(built)
     for level, figures in zip(estimated, built, strict=True):
         ratios = np.array(astuple(level)) / figures
         assert ratios[0] == pytest.approx(1.0, rel=0.01)
+        if solid_parts == "mesh":  # A mesh has few charts, whose number varies most, and costs nothing by itself.
+            ratios = ratios[2:]
         assert (ratios < FACTOR).all() and (ratios > 1.0 / FACTOR).all()
 
 

@@ -4,7 +4,7 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from queue import SimpleQueue
-from threading import Event
+from threading import Event, Lock
 
 from ..errors import Cancelled
 from .chunks import MAX_THREADS, blas_thread_limit
@@ -19,15 +19,16 @@ def run_in_parallel(tasks: Sequence[Steps[Result]]) -> Steps[list[Result]]:
     """
     if len(tasks) == 1:
         return [(yield from tasks[0])]
-    fractions, is_cancelled = [0.0] * len(tasks), Event()
-    messages: SimpleQueue[str | int] = SimpleQueue()  # labels, and the indices of tasks that have ended
+    fractions, lock, is_cancelled = [0.0] * len(tasks), Lock(), Event()
+    messages: SimpleQueue[Progress | int] = SimpleQueue()  # progress, and the indices of tasks that have ended
 
     def run(index: int) -> Result:
         def report(progress: Progress) -> None:
             if is_cancelled.is_set():
                 raise Cancelled("Cancelled; nothing was changed.")
-            fractions[index] = progress.fraction
-            messages.put(progress.label)
+            with lock:
+                fractions[index] = progress.fraction
+                messages.put(Progress(sum(fractions) / len(tasks), progress.label))
 
         try:
             return run_to_end(tasks[index], report)
@@ -45,7 +46,7 @@ def run_in_parallel(tasks: Sequence[Steps[Result]]) -> Steps[list[Result]]:
                 if isinstance(message, int):
                     results[message] = futures[message].result()
                 else:
-                    yield Progress(sum(fractions) / len(tasks), message)
+                    yield message
             return [results[index] for index in range(len(tasks))]
         finally:
             is_cancelled.set()

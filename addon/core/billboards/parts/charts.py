@@ -123,7 +123,7 @@ def _place(corners: np.ndarray, areas: np.ndarray, normals: np.ndarray) -> tuple
     is_single = len(areas) == 1
     if not is_single and (normals @ axis).min() < MIN_COSINE:
         return None
-    axes, rectangle = fit_rectangle(corners, frame_from_normal(axis)[:2])
+    axes, rectangle = fit_rectangle(corners.reshape(-1, 3), frame_from_normal(axis)[:2])
     if not is_single and (rectangle_area(rectangle) > MAX_WASTE * (areas * (normals @ axis)).sum() or _overlaps(corners @ axes.T)):
         return None
     return axis, axes, rectangle
