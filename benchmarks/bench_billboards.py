@@ -1,16 +1,18 @@
 """Benchmark of the cost and quality of billboard clouds: `python3 benchmarks/bench_billboards.py [--only PART ...] [--report R.json]`.
 
 Prints JSON. Parts: `table` (Table 1 of the paper, separately per error, and one nested run), `time` (seconds and growth), `rounds` (merging
-in rounds compared with one pair at a time), `images` (comparison at the switch distance), `memory` (in a separate process). The meshes
-are in ../shared/data next to the checkout and are required.
+in rounds compared with one pair at a time), `images` (comparison at the switch distance), `memory` (in a separate process), `ordinary`
+(billboards_ordinary.py: ordinary models compared with Decimate and octahedral impostors, from other views in each run). The meshes are in
+../shared/data next to the checkout and are required.
 """
 
 import json
+import secrets
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +23,10 @@ from lib import environment
 environment.ensure()
 environment.import_farfield()
 
+import benchmark_cli
 import bpy
 import numpy as np
+from billboards_ordinary import MODELS, measure_ordinary
 from greedy_clustering import merge_one_at_a_time, texture_waste
 
 import billboards
@@ -35,7 +39,7 @@ from farfield.addon.core.billboards.settings import BillboardSettings, BuildOpti
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.geometry.mesh import TriangleMesh, longest_side
 from farfield.addon.core.geometry.proximity import neighbor_pairs
-from farfield.addon.core.jobs.progress import Progress, run_to_end
+from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.operators.job_run import run_job
 from lib import command_line, scene_files
 from lib.comparison import compare_cloud, draw_comparison_sheet
@@ -54,26 +58,21 @@ LARGE_TRIANGLES = 200_000
 PAIRWISE_TRIANGLES = 1_500  # one pair at a time takes minutes for more
 
 
-def main(arguments: list[str], line: command_line.ProgressLine) -> str:
-    """Run the benchmark and return one JSON object. Raises FileError if the meshes are missing."""
-    parser = command_line.Parser(prog="bench_billboards.py", description="Benchmark billboard clouds.")
-    parser.add_argument("--only", nargs="+", choices=list(PARTS), default=list(PARTS), help="the parts to measure (default: all)")
-    parser.add_argument("--sheets", type=Path, help="folder for the contact sheets of the part `images`")
-    parser.add_argument("--report", type=Path, help="JSON file for the results")
-    options = parser.parse_args(arguments)
+def main(arguments: list[str], _line: command_line.ProgressLine) -> str:
+    """Run the selected parts and return one JSON object. Raises FileError if the meshes are missing."""
+    parser = benchmark_cli.build_parser("bench_billboards.py", __doc__, PARTS)
+    parser.add_argument("--sheets", type=Path, help="folder for the contact sheets of the parts `images` and `ordinary`")
+    parser.add_argument("--models", nargs="+", choices=MODELS, help="models of the part `ordinary`; by default all")
+    parser.add_argument("--seed", type=int, default=secrets.randbelow(10**6), help="of generated models and views of the part `ordinary`")
+    parser.add_argument("--impostors", action="store_true", help="also compare with octahedral impostors, which takes minutes per level")
+    given = parser.parse_args(arguments)
     if not HEAD.exists():
         raise FileError(f'The folder "{DATA}" does not contain the meshes of this benchmark.')
-    results = {}
-    for index, part in enumerate(options.only):
-        line.show(Progress(index / len(options.only), f"Measuring {part}"))
-        results[part] = PARTS[part](options.sheets)
-    line.clear()
-    if options.report is not None:
-        command_line.write_report(options.report.absolute(), results)
-    return json.dumps(results, indent=2)
+    print(f"seed {given.seed}", file=sys.stderr)
+    return benchmark_cli.run_parts(given, PARTS)
 
 
-def measure_table(_sheets: Path | None) -> dict[str, Any]:
+def measure_table(_given: Namespace) -> dict[str, Any]:
     """Measure quads and texels of the head per method and error, compared with the paper, and all four errors as levels of one cloud."""
     head = read_mesh(HEAD)
     rows: dict[str, Any] = {}
@@ -104,7 +103,7 @@ def make_row(cloud: Cloud) -> dict[str, Any]:
     }
 
 
-def measure_time(_sheets: Path | None) -> dict[str, Any]:
+def measure_time(_given: Namespace) -> dict[str, Any]:
     """Measure the wall seconds of clustering at 1 %, best of several runs, with one level and with three, and the growth with size."""
     meshes = {"max_planck": read_mesh(HEAD), "leafy_tree": read_mesh(TREE), "bunny": read_mesh(BUNNY)}
     best: dict[str, float] = {}
@@ -119,7 +118,7 @@ def measure_time(_sheets: Path | None) -> dict[str, Any]:
     return {"seconds": best, **{f"growth_{levels}_levels": round(ratio, 2) for levels, ratio in growth.items()}}
 
 
-def measure_rounds(_sheets: Path | None) -> dict[str, Any]:
+def measure_rounds(_given: Namespace) -> dict[str, Any]:
     """Compare merging in rounds of mutual best pairs with one pair at a time: clusters and texture waste on a part of the head."""
     head = read_mesh(HEAD)
     centroids = head.vertices[head.triangles].mean(axis=1)
@@ -140,7 +139,7 @@ def measure_rounds(_sheets: Path | None) -> dict[str, Any]:
     return {"triangles": len(primitives), "rows": rows}
 
 
-def measure_images(sheets: Path | None) -> dict[str, Any]:
+def measure_images(given: Namespace) -> dict[str, Any]:
     """Compare images of the finest level at the switch distance with the source, from twelve held-out views, at 1 %."""
     reports = {}
     for path in (HEAD, TREE):
@@ -151,13 +150,13 @@ def measure_images(sheets: Path | None) -> dict[str, Any]:
         cloud = billboards.read_built_clouds(job)[0]
         comparison = run_to_end(compare_cloud(cloud.sources, cloud.levels[0]))
         reports[path.stem] = comparison.to_report()
-        if sheets is not None:
-            sheets.mkdir(parents=True, exist_ok=True)
-            write_png(sheets / f"{path.stem}.png", draw_comparison_sheet(path.stem, comparison))
+        if given.sheets is not None:
+            given.sheets.mkdir(parents=True, exist_ok=True)
+            write_png(given.sheets / f"{path.stem}.png", draw_comparison_sheet(path.stem, comparison))
     return reports
 
 
-def measure_memory(_sheets: Path | None) -> dict[str, Any]:
+def measure_memory(_given: Namespace) -> dict[str, Any]:
     """Measure the peak memory of the script on a bumpy ball of about 200,000 triangles, including textures."""
     rows = round(np.sqrt(LARGE_TRIANGLES / 2.0))
     azimuth, polar = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, rows, endpoint=False), np.linspace(1e-3, np.pi - 1e-3, rows + 1))
@@ -189,12 +188,13 @@ def build_untextured(mesh: TriangleMesh, **settings: Any) -> Cloud:
     return run_to_end(build_cloud(mesh, BillboardSettings(**({"solid_parts": "quads"} | settings))))
 
 
-PARTS: dict[str, Callable[[Path | None], dict[str, Any]]] = {
+PARTS = {
     "table": measure_table,
     "time": measure_time,
     "rounds": measure_rounds,
     "images": measure_images,
     "memory": measure_memory,
+    "ordinary": measure_ordinary,
 }
 
 if __name__ == "__main__":

@@ -78,11 +78,14 @@ class RelitCloud:
 def bake_and_compare(cloud: SceneCloud, preset: RelightingPreset) -> Steps[RelitCloud]:
     """Copy one level of `cloud`, whose source is in the scene, to a new cloud, bake it and compare it.
 
+    Where the cloud does not have the level of the preset, because it would save too little, it is the coarsest one.
+
     Raises:
         FarfieldError: see `prepare_bake` and its job.
     """
-    pbr_level = cloud.levels[preset.level]
-    relightable = copy_level_as_cloud(cloud, preset.level)
+    index = min(preset.level, len(cloud.levels) - 1)
+    pbr_level = cloud.levels[index]
+    relightable = copy_level_as_cloud(cloud, index)
     job = prepare_bake(bpy.context, relightable, preset.bake, None, keep_finished_views=False)
     yield from subprogress(run_job(job), 0.0, BAKE_END)
     max_bytes = job.figures[0]["compressed_bytes"] + PBR_TEXEL_BYTES * job.figures[0]["texels"]
@@ -91,10 +94,10 @@ def bake_and_compare(cloud: SceneCloud, preset: RelightingPreset) -> Steps[Relit
     impostor = yield from subprogress(steps, BAKE_END, IMPOSTOR_END)
     others = [Candidate("PBR maps", [pbr_level]), Candidate("octahedral impostor", impostor.objects, impostor.face_viewer)]
     pairs = held_out_pairs(preset.pairs, upper_hemisphere)
-    steps = compare_relighting(cloud.sources, relightable.levels[0], others, cloud.errors[preset.level], pairs, preset.samples)
+    steps = compare_relighting(cloud.sources, relightable.levels[0], others, cloud.errors[index], pairs, preset.samples)
     comparison = yield from subprogress(steps, IMPOSTOR_END, 1.0)
     impostor.remove()
-    return RelitCloud(relightable, preset.level, job, comparison)
+    return RelitCloud(relightable, index, job, comparison)
 
 
 def copy_level_as_cloud(cloud: SceneCloud, index: int) -> SceneCloud:

@@ -118,7 +118,7 @@ def test_texture_of_all_levels_meets_the_budget(mesh, budget):
 @pytest.mark.parametrize("fraction", [0.65, pytest.param(0.45, marks=EXHAUSTIVE)])
 def test_leaves_and_trunk_keep_their_fractions(fraction):
     mesh, budget = tree(), 50
-    cloud = build_test_cloud(mesh, quads=budget, loose_fraction=fraction, levels=1)
+    cloud = build_test_cloud(mesh, quads=budget, loose_fraction=fraction, levels=1, solid_parts="quads")
     loose, connected = count_quads(mesh, cloud.levels[0])
     assert 0.85 * budget <= loose + connected == len(cloud.levels[0].quads) <= budget
     # Either may use what the other has left of its fraction.

@@ -85,7 +85,7 @@ def test_the_mesh_of_a_solid_part_is_relit_and_keeps_its_silhouette(extension):
     directions /= np.linalg.norm(directions, axis=2, keepdims=True)
     comparison = run_to_end(compare_relighting(cloud.sources, level, [plain], cloud.errors[0], tuple(directions), 32, light="sun"))
     source, relightable, _ = comparison.renders[..., :3].sum(axis=(1, 2, 3, 4))
-    assert relightable == pytest.approx(source, rel=0.05)
+    assert relightable == pytest.approx(source, rel=0.07)
     assert comparison.compute_scores()[..., 0].min() > 34.0
 
 
