@@ -16,7 +16,7 @@ from shapes import box, bumpy_sphere, cylinder, leaf_cards, sheet, sphere
 
 MESHES = {
     "bumpy": bumpy_sphere(8),
-    "leaves": leaf_cards(60),
+    "leaves": leaf_cards(150, size=0.05),
     "tree": concatenate([cylinder(radius=0.1, sides=16, cuts=5), leaf_cards(60)]),
 }
 

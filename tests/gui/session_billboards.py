@@ -29,6 +29,7 @@ def session() -> Iterator[float]:
     user = UserInput()
     bpy.data.objects.remove(bpy.data.objects["Cube"])
     create_tree()
+    bpy.context.scene.farfield_billboards.nested_levels = True  # Levels of these large leaves save too little to be kept otherwise.
     bpy.ops.ed.undo_push(message="Grow Tree")
     open_panel_alone("billboards")
     yield from user.open_sidebar()

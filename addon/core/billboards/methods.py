@@ -104,7 +104,8 @@ class _Clustering:
         with self.clock.stage("cover"):
             patches = yield from subprogress(steps, 0.5, 1.0)
             if settings.normal_scale > 0.0:
-                patches = absorb_small_patches(scaled, sheets, patches, error)
+                if not settings.keeps_all_levels:  # The next level must be able to show what each quad owns within the same limits.
+                    patches = absorb_small_patches(scaled, sheets, patches, error)
                 patches = complete_regions(self.primitives, sheets, patches, error)
         owner = assign_groups(scaled, patches, groups) if finer else best_facing_patch(scaled, patches)
         return Covering(patches, owner)
