@@ -1,6 +1,6 @@
 """The whole workflow of Farfield: `python3 scripts/demo.py [--input FILE] [--quick] [--out DIR]`.
 
-Grows a tree, builds its billboard cloud with three levels of detail, compares every level with the tree in Cycles, bakes relightable
+Grows a tree, builds its billboard cloud with levels of detail, compares every level with the tree in Cycles, bakes relightable
 textures for one of them, compares it under other Sun directions, and plants a forest of it. Then photographs another model with eight
 virtual cameras, merges the photographs into a texture, and compares it with the truth. Last, builds a fractal terrain and flies over it,
 and makes perceptual levels of a textured ring.
