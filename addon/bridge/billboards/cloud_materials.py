@@ -19,6 +19,7 @@ SOLID_ATTRIBUTE = "farfield_solid"  # Per face: 1 if no camera sees the back, be
 COLOR, NORMAL, ROUGHNESS_METALLIC_DEPTH = MAPS = ("Color", "Normal", "Roughness Metallic Depth")
 SIDES = ("Front", "Back")
 SHADOWLESS_DISTANCE = "Shadowless Distance"  # Input of the group.
+MIN_TEXEL_ALPHA = 0.1  # A texel with less counts as transparent where texels are identified.
 FRONT_COLOR = "Front color"  # Label of the node with the color and alpha of the fronts.
 FRONT_NORMAL = "Front normal"  # Label of the node with their normals in object space, encoded as colors.
 FRONT_ROUGHNESS_METALLIC_DEPTH = "Front roughness metallic depth"  # Label of the node with their roughness, metallic and depth.
@@ -109,6 +110,27 @@ def create_two_sided_material(name: str) -> tuple[bpy.types.Material, NodeBuilde
     material, builder = create_node_material(name)
     set_two_sided(material)
     return material, builder
+
+
+def create_texel_material(shown: bpy.types.Material) -> bpy.types.Material:
+    """Create a material that emits (u, v, 1) on the fronts of opaque texels of the cloud material `shown`, and (u, v, 2) on their backs."""
+    material, builder = create_two_sided_material(shown.name)
+    images = {node.label: node.image for node in shown.node_tree.nodes if node.type == "TEX_IMAGE"}
+    is_backfacing = builder.node("ShaderNodeNewGeometry").outputs["Backfacing"]
+    alphas = [sample_map(builder, images[map_label(side, COLOR)], side, COLOR)[1] for side in SIDES]
+    alpha = builder.separate(builder.mix(is_backfacing, *alphas))[0]
+    is_opaque = builder.math("GREATER_THAN", builder.math("MULTIPLY", alpha, _is_outside(builder, is_backfacing)), MIN_TEXEL_ALPHA)
+    u, v, _ = builder.separate(builder.node("ShaderNodeUVMap", {"uv_map": "UVMap"}).outputs["UV"])
+    emission, transparent, mixed = (
+        builder.node(node_type) for node_type in ("ShaderNodeEmission", "ShaderNodeBsdfTransparent", "ShaderNodeMixShader")
+    )
+    builder.connect(builder.combine(u, v, builder.math("ADD", 1.0, is_backfacing)), emission.inputs["Color"])
+    builder.connect(is_opaque, mixed.inputs[0])
+    builder.connect(transparent.outputs[0], mixed.inputs[1])
+    builder.connect(emission.outputs[0], mixed.inputs[2])
+    builder.connect(mixed.outputs[0], builder.node("ShaderNodeOutputMaterial").inputs["Surface"])
+    material.cycles.emission_sampling = "NONE"
+    return material
 
 
 def set_two_sided(material: bpy.types.Material) -> None:

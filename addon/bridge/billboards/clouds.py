@@ -39,13 +39,9 @@ def create_cloud(
     camera = _find_camera(collection_parent)
     for index, level in enumerate(cloud.levels):
         name = f"{collection.name} L{index}"
-        level_textures = None if textures is None else textures[index]
-        material = create_gray_material(name) if level_textures is None else create_textured_material(name, level, level_textures)
-        mesh = _create_mesh(name, level, None if level_textures is None else level_textures.front, source.origin)
-        level_object = bpy.data.objects.new(name, mesh)
-        level_object.location = source.origin
-        level_object.data.materials.append(material)
-        _write_properties(level_object, index, level, camera, material)
+        level_object = create_level_object(name, level, None if textures is None else textures[index], source.origin)
+        mesh = level_object.data
+        _write_properties(level_object, index, level, camera, mesh.materials[0])
         level_object[CENTER] = (read_positions(mesh).astype(np.float64).mean(axis=0) + source.origin).tolist()
         mesh[DRAWN_OFFSETS], mesh[DRAWN] = level.quads.drawn_offsets.tolist(), level.quads.drawn.tolist()  # Later bakes need them.
         level_object.hide_viewport = level_object.hide_render = index > 0
@@ -55,6 +51,15 @@ def create_cloud(
         collection[NOTES] = "\n".join(cloud.notes)
     collection_parent.children.link(collection)
     return collection
+
+
+def create_level_object(name: str, level: Level, textures: LevelTextures | None, origin: np.ndarray) -> bpy.types.Object:
+    """Create the object of a level at `origin` (3,), with the quads of its mesh relative to that. Without `textures` it is gray."""
+    material = create_gray_material(name) if textures is None else create_textured_material(name, level, textures)
+    level_object = bpy.data.objects.new(name, _create_mesh(name, level, None if textures is None else textures.front, origin))
+    level_object.location = origin
+    level_object.data.materials.append(material)
+    return level_object
 
 
 def read_drawn_primitives(mesh: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray]:

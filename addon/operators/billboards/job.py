@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import bpy
 
 from ...bridge.billboards import capture, clouds
+from ...bridge.billboards.luminance_fit import fit_luminance
 from ...bridge.billboards.scene_clouds import SceneCloud, clouds_of_levels, read_cloud
 from ...bridge.billboards.source_losses import describe_source_losses
 from ...bridge.geometry import meshes
@@ -22,6 +23,7 @@ from ...core.geometry.local_origin import describe_coarseness
 from ...core.jobs.progress import Progress, Steps, subprogress
 from .sources import linked_sources_message, read_sources
 
+LUMINANCE_FRACTION = 0.6  # End of the renders of the maps in the progress of the capture of one source.
 CAPTURE_FRACTION = 0.95  # End of the capture in the progress of the scene steps.
 
 
@@ -87,11 +89,21 @@ class BillboardJob:
         textures = []
         for index, (source, cloud) in enumerate(zip(self.sources, built, strict=True)):
             if self.settings.textures:
-                steps = capture.capture_textures(source, cloud, self.settings)
+                steps = self._capture_source(source, cloud)
                 textures.append((yield from subprogress(steps, *_progress_range(index, len(self.sources)))))
             else:
                 textures.append(None)
         self.seconds["capture"] = time.perf_counter() - started
+        return textures
+
+    def _capture_source(self, source: meshes.Source, cloud: Cloud) -> Steps[list]:
+        textures = yield from subprogress(capture.capture_textures(source, cloud, self.settings), 0.0, LUMINANCE_FRACTION)
+        if source.mesh is None:
+            return textures
+        started = time.perf_counter()
+        fit = fit_luminance(source, _find_objects(source), cloud, textures)
+        textures = yield from subprogress(fit, LUMINANCE_FRACTION, 1.0)
+        self.seconds["luminance"] = self.seconds.get("luminance", 0.0) + time.perf_counter() - started
         return textures
 
     def _create_objects(self, built: list[Cloud], textures: list) -> None:

@@ -1,0 +1,199 @@
+"""Fit of the luminance and coverage of a cloud to its source: both are rendered under a uniform sky from some directions.
+
+See `luminance_gains`. Gains scale the color, but neither gloss nor what neighbors reflect; so levels that were far off are compared again.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import bpy
+import numpy as np
+
+from ...core.arrays import TINY
+from ...core.billboards.cloud import Cloud, Level
+from ...core.billboards.luminance_gains import compute_gains
+from ...core.geometry.cameras import OrthographicView
+from ...core.geometry.directions import fibonacci_sphere
+from ...core.imaging.colors import LUMINANCE
+from ...core.jobs.progress import Progress, Steps, subprogress
+from ..cameras import set_camera_view
+from ..geometry.meshes import Source
+from ..rendering.render_scene import RenderScene, prepare_cycles, render_scene
+from ..shading.surface_layers import DEFAULT_LEVEL, SPECULAR
+from .cloud_materials import create_texel_material
+from .clouds import create_level_object
+from .level_maps import LevelTextures, PbrMaps
+
+VIEW_COUNT = 12
+RESOLUTION = 96  # pixels along the diagonal
+SAMPLES = 2
+MAX_ROUNDS = 3
+MAX_DEVIATION = 0.03  # A level whose luminance was within this is not compared again.
+MAX_TRANSPARENT_BOUNCES = 256
+MIN_ALPHA = 0.05  # Colors of pixels with less are not compared.
+MIN_OVERLAP = 0.5  # With less overlap of both silhouettes, the objects have changed since they were read.
+MIN_BALANCE = 0.7
+MARGIN = 1  # pixels
+SPECULAR_LEVEL = "Specular IOR Level"  # Input of a Principled shader.
+
+
+def fit_luminance(
+    source: Source, objects: Sequence[bpy.types.Object], cloud: Cloud, textures: Sequence[LevelTextures]
+) -> Steps[list[LevelTextures]]:
+    """Return the `textures` of `cloud`, a cloud of a mesh, fitted to the `objects` that `source` was read from. Each step is one render.
+
+    Raises:
+        FileError: the temporary folder cannot store a render.
+    """
+    textures = list(textures)
+    with render_scene("Farfield Luminance Fit") as work, work.show(objects):
+        prepare_cycles(work.scene, SAMPLES, MAX_TRANSPARENT_BOUNCES)
+        work.scene.world = work.add_world(1.0)
+        work.scene.cycles.pixel_filter_type = "BOX"
+        work.scene.cycles.max_bounces = 1
+        points = source.mesh.vertices
+        center = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        pixel_size = 2.0 * float(np.linalg.norm(points - center, axis=1).max()) / RESOLUTION
+        views = [OrthographicView(axis, center, RESOLUTION + 2 * MARGIN, pixel_size) for axis in fibonacci_sphere(VIEW_COUNT)]
+        step = 1.0 / (len(textures) + 1)
+        wanted = yield from subprogress(_render_views(work, objects, SAMPLES, views), 0.0, step)
+        for index, level in enumerate(cloud.levels):
+            steps = _fit_level(work, level, textures[index], source.origin, views, wanted)
+            textures[index] = yield from subprogress(steps, step * (index + 1), step * (index + 2))
+    return textures
+
+
+def _fit_level(
+    work: RenderScene,
+    level: Level,
+    textures: LevelTextures,
+    origin: np.ndarray,
+    views: Sequence[OrthographicView],
+    wanted: Sequence[np.ndarray],
+) -> Steps[LevelTextures]:
+    """Return `textures` with the luminance and coverage of the renders `wanted`, one per view."""
+    quads = level.atlas.quad_map
+    is_loose = ~level.joined & [chart is None for chart in level.charts]
+    is_thinned = np.append(is_loose, False)[quads]  # A surface that continues must not get holes.
+    for index in range(MAX_ROUNDS):
+        shown, texels = _add_level(work, level, textures, origin)
+        renders = yield from subprogress(_render_views(work, [shown], SAMPLES, views), index / MAX_ROUNDS, (index + 0.9) / MAX_ROUNDS)
+        ids = yield from subprogress(_render_views(work, [texels], 1, views), (index + 0.9) / MAX_ROUNDS, (index + 1) / MAX_ROUNDS)
+        pixels = [_observe(*images, level) for images in zip(wanted, renders, ids, strict=True)]
+        if any(seen is None for seen in pixels):
+            break
+        seen = Observations(*(np.concatenate(values) for values in zip(*pixels, strict=True)))
+        gain, balance = seen.compare_luminance()
+        sides = []
+        for maps, is_side in ((textures.front, ~seen.is_back), (textures.back, seen.is_back)):
+            gains = compute_gains(seen.texel[is_side], *seen.luminances(is_side), quads)
+            opacities = compute_gains(seen.texel[is_side], seen.source_alpha[is_side], seen.alpha[is_side], quads)
+            sides.append(_scale(maps, gains[..., None] * balance, np.where(is_thinned, opacities, 1.0)))
+        textures = _scale_specular(replace(textures, front=sides[0], back=sides[1]), gain)
+        if abs(gain - 1.0) <= MAX_DEVIATION:
+            break
+    return textures
+
+
+def _add_level(work: RenderScene, level: Level, textures: LevelTextures, origin: np.ndarray) -> tuple[bpy.types.Object, bpy.types.Object]:
+    """Add a level to the scene twice: as users see it, and with the indices of its texels."""
+    groups = set(bpy.data.node_groups)
+    shown = create_level_object("Farfield Luminance Fit", level, textures, origin)
+    material = shown.data.materials[0]
+    images = dict.fromkeys(node.image for node in material.node_tree.nodes if node.type == "TEX_IMAGE")
+    for data in (*set(bpy.data.node_groups).difference(groups), *images, material, shown.data, shown):
+        work.own(data)
+    work.scene.collection.objects.link(shown)
+    texels = work.add_object(shown.data)
+    texels.location = shown.location
+    texels.material_slots[0].link = "OBJECT"
+    texels.material_slots[0].material = work.own(create_texel_material(material))
+    return shown, texels
+
+
+def _render_views(
+    work: RenderScene, visible: Sequence[bpy.types.Object], samples: int, views: Sequence[OrthographicView]
+) -> Steps[list[np.ndarray]]:
+    """Render only the objects `visible`, which is fastest view after view."""
+    for item in work.scene.collection.objects:
+        item.hide_render = item not in visible
+    work.scene.cycles.samples = samples
+    renders = []
+    for index, view in enumerate(views):
+        set_camera_view(work.scene, view)
+        yield Progress(index / len(views), "Comparing with the original")
+        renders.append(work.render())
+    return renders
+
+
+class Observations(NamedTuple):
+    """What N pixels show of a level and of its source.
+
+    Attributes:
+        texel: (N,) int, row-major index of the texel of the level.
+        is_back: (N,) bool, its quad is seen from the back.
+        alpha, source_alpha: (N,) coverage.
+        color, source_color: (N, 3) premultiplied, scene-linear Rec.709.
+    """
+
+    texel: np.ndarray
+    is_back: np.ndarray
+    alpha: np.ndarray
+    source_alpha: np.ndarray
+    color: np.ndarray
+    source_color: np.ndarray
+
+    @property
+    def _weights(self) -> tuple[np.ndarray, np.ndarray]:
+        """(N,) factors of both colors where both images show something; the silhouettes have no influence then."""
+        alpha = np.minimum(self.alpha, self.source_alpha)
+        alpha = np.where(alpha > MIN_ALPHA, alpha, 0.0)
+        return alpha / np.maximum(self.alpha, MIN_ALPHA), alpha / np.maximum(self.source_alpha, MIN_ALPHA)
+
+    def luminances(self, selected: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the luminance of source and level in the `selected` (N,) bool pixels."""
+        weights = (weight[selected] for weight in self._weights)
+        shown, wanted = (
+            weight * (color[selected] @ LUMINANCE) for weight, color in zip(weights, (self.color, self.source_color), strict=True)
+        )
+        return wanted, shown
+
+    def compare_luminance(self) -> tuple[float, np.ndarray]:
+        """Return the factor that gives the level the luminance of its source, and factors (3,) of red, green and blue that then give it
+        the same mean color."""
+        shown, wanted = (weight @ color for weight, color in zip(self._weights, (self.color, self.source_color), strict=True))
+        gain = float(wanted @ LUMINANCE / max(shown @ LUMINANCE, TINY))
+        return gain, np.clip(wanted / np.maximum(shown * gain, TINY), MIN_BALANCE, 1.0 / MIN_BALANCE).astype(np.float32)
+
+
+def _observe(source: np.ndarray, image: np.ndarray, texels: np.ndarray, level: Level) -> Observations | None:
+    """Return what the renders (H, W, 4) of the source, of the level and of its texels show; None if these are different objects."""
+    overlap = np.minimum(source[..., 3], image[..., 3]).sum()
+    if overlap < MIN_OVERLAP * np.maximum(source[..., 3], image[..., 3]).sum():
+        return None
+    is_seen, size = texels[..., 2] > 0.5, level.atlas.size
+    coordinates = texels[is_seen]
+    column, row = (np.clip((coordinates[:, axis] * size[axis]).astype(np.int64), 0, size[axis] - 1) for axis in (0, 1))
+    colors = image[is_seen], source[is_seen]
+    alphas = (color[:, 3] for color in colors)
+    return Observations(row * size[0] + column, coordinates[:, 2] > 1.5, *alphas, *(color[:, :3] for color in colors))
+
+
+def _scale(maps: PbrMaps, gains: np.ndarray, opacities: np.ndarray) -> PbrMaps:
+    """Return `maps` with straight colors times `gains` (H, W, 3) and alpha times `opacities` (H, W), both at most 1."""
+    alpha = np.clip(maps.color[..., 3:], 0.0, 1.0)
+    color = np.minimum(maps.color[..., :3] * gains, alpha)  # No surface reflects more light than it receives.
+    opacities = np.minimum(opacities[..., None], 1.0 / np.maximum(alpha, MIN_ALPHA))
+    return replace(maps, color=np.concatenate([color, alpha], axis=2) * opacities)
+
+
+def _scale_specular(textures: LevelTextures, gain: float) -> LevelTextures:
+    """Return `textures` with highlights that are darker by the mean `gain` of a level: nothing shades them, either."""
+    if gain > 1.0 - MAX_DEVIATION:
+        return textures
+    if SPECULAR in textures.layers:
+        layer = textures.layers[SPECULAR]
+        return replace(textures, layers={**textures.layers, SPECULAR: replace(layer, scale=gain * layer.scale)})
+    level = textures.parameters.get(SPECULAR_LEVEL, DEFAULT_LEVEL)
+    return replace(textures, parameters={**textures.parameters, SPECULAR_LEVEL: gain * level})
