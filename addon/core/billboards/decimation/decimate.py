@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 
 from ...geometry.collapses import quadric_decimation
-from ...geometry.distance import closest_on_mesh, points_farther_than
+from ...geometry.distance import points_farther_than
 from ...jobs.progress import Progress, Steps, subprogress
 from .edge_operations import EdgeCollapses, evaluate_collapses, flip_edges, remove_degenerate
 from .reference_mesh import FAR_DISTANCE, MAX_UNASSIGNED, DecimatedMesh, ReferenceMesh
@@ -146,9 +146,9 @@ def _find_start(reference: ReferenceMesh, vertices: np.ndarray, triangles: np.nd
         coarse, faces = propose_mesh(vertices, triangles, target)
         if not len(faces):
             return None
-        samples = reference.sample(faces)
+        samples = reference.track(reference.sample(faces))
         coarse = fit_vertices(samples, coarse, faces, PROPOSAL_POWERS)
-        distance = np.quantile(closest_on_mesh(samples, coarse[faces])[0], PROPOSAL_QUANTILE)
+        distance = np.quantile(samples.find_closest(coarse[faces])[0], PROPOSAL_QUANTILE)
         return (coarse, faces) if distance <= MAX_PROPOSAL_DISTANCE * reference.error else None
 
     return _bisect_count(len(triangles), attempt) or (vertices, triangles)
@@ -161,10 +161,10 @@ def _evaluate_collapses(reference: ReferenceMesh, vertices: np.ndarray, triangle
 
 def _fit_and_flip(reference: ReferenceMesh, vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Move the vertices of the coarse mesh, flip edges that lower the distance, and move the vertices again."""
-    vertices = fit_vertices(reference.active_samples(vertices, triangles), vertices, triangles, FIT_POWERS)
+    vertices = fit_vertices(reference.track(reference.active_samples(vertices, triangles)), vertices, triangles, FIT_POWERS)
     samples = reference.active_samples(vertices, triangles)
     triangles = flip_edges(samples, vertices, triangles, MIN_FLIP_GAIN * reference.error)
-    return fit_vertices(samples, vertices, triangles, FIT_POWERS), triangles
+    return fit_vertices(reference.track(samples), vertices, triangles, FIT_POWERS), triangles
 
 
 def _optimize_and_measure(reference: ReferenceMesh, vertices: np.ndarray, triangles: np.ndarray) -> DecimatedMesh | None:

@@ -14,12 +14,14 @@ from ...geometry.distance import (
     points_farther_than,
 )
 from ...geometry.mesh import face_areas_and_normals
+from ...geometry.tracked_points import TrackedPoints
 from .vertex_fit import EDGE_REGULARIZATION, MIN_WEIGHT, FitTargets, build_spring_matrix, solve_displacements
 
 MAX_SAMPLES = 16_000
 MIN_SAMPLES = 1_000
 SAMPLES_PER_TRIANGLE = 16  # Samples per coarse triangle, for moving its vertices and evaluating its collapses and flips.
 FAR_DISTANCE = 0.5  # In errors: all samples farther than this are used, even those not among the few per triangle.
+TRACKING_REACH = 0.5  # In errors.
 PAIRS_PER_CHUNK = 1_000_000  # Pairs of a face and a candidate triangle at once: bounds the memory of an assignment.
 MAX_STEPS = 10  # Maximum steps of the final optimization.
 MAX_STEPS_WITHOUT_GAIN = 3
@@ -91,6 +93,10 @@ class ReferenceMesh:
         """Return a few samples of the whole mesh, and all that are far from the coarse mesh."""
         return np.concatenate([self.sample(triangles), self.far_samples(vertices, triangles, FAR_DISTANCE)])
 
+    def track(self, points: np.ndarray) -> TrackedPoints:
+        """Return `points` (N, 3) for searches on a coarse mesh whose vertices move by fractions of an error."""
+        return TrackedPoints(points, TRACKING_REACH * self.error)
+
     def measure(self, vertices: np.ndarray, triangles: np.ndarray) -> DecimatedMesh | None:
         """Measure the coarse mesh. Returns None if it violates the bounds."""
         if face_areas_and_normals(vertices[triangles])[0].sum() > MAX_AREA_GROWTH * self.areas.sum():
@@ -152,14 +158,22 @@ class ReferenceMesh:
         Returns:
             The best vertices (V, 3) of all steps, and the number of bounds that they still violate, plus the penalty for the area.
         """
-        far_faces = np.flatnonzero(self.assign(vertices, triangles)[1] > FAR_DISTANCE * self.error)
+        plane, heights, _ = self.assign(vertices, triangles)
+        far_faces = np.flatnonzero(heights > FAR_DISTANCE * self.error)
+        plane, points = plane[far_faces], self.corners[far_faces]
         best, best_cost, best_step = vertices, np.inf, 0
         spring_matrix = build_spring_matrix(triangles, len(vertices))
+        tracked = self.track(samples)
         for step in range(MAX_STEPS):
             corners = vertices[triangles]
             _, normals = face_areas_and_normals(corners)
-            plane, heights, _ = self.assign(vertices, triangles, far_faces)
-            distances, nearest = closest_on_mesh(samples, corners)
+            if step > 0:
+                heights = _heights_over(points, corners, normals, plane)
+                lost = np.flatnonzero(np.abs(heights).max(axis=1) > TARGET_DISTANCE * self.error)
+                plane[lost] = self.assign(vertices, triangles, far_faces[lost])[0]
+            residuals = _heights_over(points, corners, normals, plane)
+            heights = np.abs(residuals).max(axis=1)
+            distances, nearest = tracked.find_closest(corners)
             max_distance = max(float(heights.max(initial=0.0)), float(distances.max()))
             growth = face_areas_and_normals(corners)[0].sum() / self.areas.sum() / MAX_AREA_GROWTH
             violations = int((heights > TARGET_DISTANCE * self.error).sum() + (distances > TARGET_DISTANCE * self.error).sum())
@@ -168,16 +182,16 @@ class ReferenceMesh:
                 best, best_cost, best_step = vertices, cost, step
             if cost == 0.0 or step - best_step > MAX_STEPS_WITHOUT_GAIN:
                 break
-            points, plane = self.corners[far_faces].reshape(-1, 3), np.repeat(plane, 3)
+            flat_points, planes = points.reshape(-1, 3), np.repeat(plane, 3)
             barycentric = closest_barycentric(samples, corners[nearest])
             offsets = samples - np.einsum("nk,nkj->nj", barycentric, corners[nearest])
             lengths = np.where(distances > MIN_DIRECTION_DISTANCE * self.error, distances, np.inf)
-            residuals = np.concatenate([distances, np.einsum("ij,ij->i", points - corners[plane, 0], normals[plane])])
+            residuals = np.concatenate([distances, residuals.ravel()])
             relative_residuals = np.abs(residuals) / min(max_distance, MAX_WEIGHTED_DISTANCE * self.error)
             targets = FitTargets(
-                triangles=np.concatenate([nearest, plane]),
-                barycentric=np.concatenate([barycentric, plane_barycentric(points, corners[plane])]),
-                directions=np.concatenate([offsets / lengths[:, None], normals[plane]]),
+                triangles=np.concatenate([nearest, planes]),
+                barycentric=np.concatenate([barycentric, plane_barycentric(flat_points, corners[planes])]),
+                directions=np.concatenate([offsets / lengths[:, None], normals[planes]]),
                 residuals=residuals,
                 weights=np.minimum(relative_residuals, 1.0) ** POWER + MIN_WEIGHT,
             )
@@ -185,6 +199,11 @@ class ReferenceMesh:
             regularization = STRONG_REGULARIZATION if is_too_large else EDGE_REGULARIZATION
             vertices = vertices + NEWTON_STEP * solve_displacements(vertices, triangles, targets, spring_matrix, regularization)
         return best, best_cost
+
+
+def _heights_over(points: np.ndarray, corners: np.ndarray, normals: np.ndarray, plane: np.ndarray) -> np.ndarray:
+    """Return the heights (F, 3) of the corners `points` (F, 3, 3) of faces over the planes of their triangles `plane` (F,) of a mesh."""
+    return np.einsum("fci,fi->fc", points - corners[plane, :1], normals[plane])
 
 
 def _subsample(points: np.ndarray, max_count: int) -> np.ndarray:
