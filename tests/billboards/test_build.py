@@ -129,7 +129,9 @@ class TestBounds:
 def level_bytes(level: Level) -> list[bytes]:
     """Return the arrays of a level as bytes."""
     names = ("centers", "frames", "half_sizes", "drawn_offsets", "drawn", "owner")
-    return [*(getattr(level.quads, name).tobytes() for name in names), level.atlas.rectangles.tobytes(), *map(bytes, level.cutouts)]
+    charts = [chart.vertices.tobytes() for chart in level.charts if chart is not None]
+    quads = [getattr(level.quads, name).tobytes() for name in names]
+    return [*quads, level.atlas.rectangles.tobytes(), *map(bytes, level.cutouts), *charts]
 
 
 class TestKnownShapes:

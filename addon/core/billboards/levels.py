@@ -60,23 +60,21 @@ class LevelBuilder:
         if not self.settings.meshes_parts:
             return (yield from steps)
         coverings = yield from subprogress(steps, 0.0, PARTS_PROGRESS)
-        new = range(len(finished), count)
-        for index, level in enumerate(new):
-            step = (1.0 - PARTS_PROGRESS) / len(new)
-            start = PARTS_PROGRESS + step * index
-            meshing = self._mesh_parts(primitives, components, coverings[level], errors[level])
-            coverings[level] = yield from subprogress(meshing, start, start + step)
-        return coverings
+        start = len(finished)
+        meshing = self._mesh_parts(primitives, components, coverings[start:], errors[start:])
+        return [*finished, *(yield from subprogress(meshing, PARTS_PROGRESS, 1.0))]
 
-    def _mesh_parts(self, primitives: Primitives, components: Components, covering: Covering, error: float) -> Steps[Covering]:
-        """Replace quads of `covering` by meshes, see `mesh_parts`."""
+    def _mesh_parts(
+        self, primitives: Primitives, components: Components, coverings: list[Covering], errors: list[float]
+    ) -> Steps[list[Covering]]:
+        """Replace quads of `coverings` by meshes, see `mesh_parts`."""
 
-        def recover(indices: np.ndarray) -> Steps[Covering]:
+        def recover(indices: np.ndarray, error: float) -> Steps[Covering]:
             subset = primitives.subset(indices), components.subset(indices)
             return (yield from METHODS[self.settings.method](*subset, [error], self.settings, self.clock))[0]
 
         with self.clock.stage("parts"):
-            return (yield from mesh_parts(primitives, components, covering, error, self._parts_of(primitives), recover))
+            return (yield from mesh_parts(primitives, components, coverings, errors, self._parts_of(primitives), recover))
 
     def _parts_of(self, primitives: Primitives) -> dict[int, Part]:
         """Return the parts of `primitives` that were prepared before, by label."""

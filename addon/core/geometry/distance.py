@@ -10,6 +10,7 @@ MAX_LEAF_TRIANGLES = 2
 CHUNK_POINTS = 4096  # points or tests at once: fits the cache of a CPU core
 MAX_PIECES = 400_000
 FIRST_PIECES = 1000  # Triangles whose distances are measured first; those of most others need not be known exactly then.
+MARGIN = 1e-12  # Of bounds, relative to the coordinates, for rounding.
 MIN_SQUARED_SINE = 1e-14  # Corners below make a triangle a segment: dot products cannot resolve its plane.
 
 
@@ -47,27 +48,46 @@ class TriangleTree:
             distances[chunk], nearest[chunk] = self._descend(points[chunk], limits[chunk])
         return distances, nearest
 
+    def find_near(self, points: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return all pairs of one of `points` (N, 3) and a triangle at most `reach` farther from it than the nearest one: the points (P,),
+        ascending, the triangles (P,) and their distances (P,)."""
+        pairs, margin = [], reach + MARGIN * np.abs(self.corners).max()
+        for chunk in _chunks(len(points)):
+            best, _ = _upper_bounds(points[chunk], self.corners, self._centroids)
+            point, triangle, squared = self._search(points[chunk], np.arange(len(best)), (np.sqrt(best) + margin) ** 2)
+            distances = np.sqrt(squared)
+            starts = np.flatnonzero(np.diff(point, prepend=-1))
+            is_near = distances <= (np.minimum.reduceat(distances, starts) + reach)[point]
+            pairs.append((point[is_near] + chunk.start, triangle[is_near], distances[is_near]))
+        return tuple(np.concatenate(values) for values in zip(*pairs, strict=True))
+
     def _descend(self, points: np.ndarray, limits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return what `find_closest` does, for squared distances `limits` (N,) that are near enough."""
         best, nearest = _upper_bounds(points, self.corners, self._centroids)
-        point = np.flatnonzero(best > limits)
-        node = np.zeros(len(point), np.int64)
-        for level, (low, high) in enumerate(self._levels):
-            if level > 0:
-                point = np.repeat(point, 2)
-                node = np.stack([2 * node, 2 * node + 1], axis=1).ravel()
-            is_candidate = _squared_box_distances(points[point], low[node], high[node]) < best[point]
-            point, node = point[is_candidate], node[is_candidate]
-        starts = _node_starts(len(self.corners), len(self._levels) - 1)
-        sizes = starts[node + 1] - starts[node]
-        point = np.repeat(point, sizes)
-        triangle = self._order[concatenate_ranges(starts[node], sizes)]
+        point, triangle, squared = self._search(points, np.flatnonzero(best > limits), best)
         if len(point):
-            squared = squared_point_triangle_distances(points[point], self.corners[triangle])
             first = segment_argmin(squared, np.flatnonzero(np.diff(point, prepend=-1)))
             better = first[squared[first] < best[point[first]]]
             best[point[better]], nearest[point[better]] = squared[better], triangle[better]
         return np.sqrt(best), nearest.astype(np.int32)
+
+    def _search(self, points: np.ndarray, point: np.ndarray, bounds: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return pairs of one of the points number `point` (K,), ascending, and a triangle, with their squared distances; among them are
+        all within `bounds` (N,), squared."""
+        node = np.zeros(len(point), np.int64)
+        columns = np.ascontiguousarray(points.T)
+        for level, (low, high) in enumerate(self._levels):
+            if level > 0:
+                point = np.repeat(point, 2)
+                node = np.repeat(2 * node, 2)
+                node[1::2] += 1
+            is_candidate = _squared_box_distances(columns, point, low, high, node) <= bounds.take(point)
+            point, node = point.compress(is_candidate), node.compress(is_candidate)
+        starts = _node_starts(len(self.corners), len(self._levels) - 1)
+        sizes = starts[node + 1] - starts[node]
+        point = np.repeat(point, sizes)
+        triangle = self._order[concatenate_ranges(starts[node], sizes)]
+        return point, triangle, squared_point_triangle_distances(points[point], self.corners[triangle]) if len(point) else np.zeros(0)
 
 
 def squared_point_triangle_distances(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
@@ -236,16 +256,16 @@ def _subdivide(corners: np.ndarray) -> np.ndarray:
 
 
 def _build_boxes(corners: np.ndarray, order: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return the boxes (2^l, 3) low and high of every level l. Node k of 2^l contains the triangles number k T / 2^l to (k + 1) T / 2^l in
+    """Return the boxes (3, 2^l) low and high of every level l. Node k of 2^l contains the triangles number k T / 2^l to (k + 1) T / 2^l in
     `order` (T,), in which those that are near each other follow each other, as in the halves of a k-d tree."""
     count = len(corners)
     depth = max(0, int(np.log2(count / MAX_LEAF_TRIANGLES))) if count > MAX_LEAF_TRIANGLES else 0
     starts = _node_starts(count, depth)[:-1]
-    first, second, third = (corners[:, corner].take(order, axis=0) for corner in range(3))  # pairwise: NumPy reduces short axes slowly
-    levels = [tuple(bound.reduceat(bound(bound(first, second), third), starts) for bound in (np.minimum, np.maximum))]
+    first, second, third = (np.ascontiguousarray(corners[order, corner].T) for corner in range(3))  # NumPy reduces short axes slowly
+    levels = [tuple(bound.reduceat(bound(bound(first, second), third), starts, axis=1) for bound in (np.minimum, np.maximum))]
     for _ in range(depth):
         low, high = levels[-1]
-        levels.append((np.minimum(low[::2], low[1::2]), np.maximum(high[::2], high[1::2])))
+        levels.append((np.minimum(low[:, ::2], low[:, 1::2]), np.maximum(high[:, ::2], high[:, 1::2])))
     return levels[::-1]
 
 
@@ -266,6 +286,13 @@ def _upper_bounds(points, corners, centroids) -> tuple[np.ndarray, np.ndarray]:
     return squared[rows, best], triangles[rows, best]
 
 
-def _squared_box_distances(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    outside = np.maximum(np.maximum(low - points, points - high), 0.0)
-    return np.einsum("ij,ij->i", outside, outside)
+def _squared_box_distances(points: np.ndarray, point: np.ndarray, low: np.ndarray, high: np.ndarray, node: np.ndarray) -> np.ndarray:
+    """Return the squared distances (K,) of `points` (3, N) number `point` (K,) to the boxes `low`, `high` (3, B) number `node` (K,)."""
+    squared = np.zeros(len(point))
+    for coordinates, lowest, highest in zip(points, low, high, strict=True):
+        positions = coordinates.take(point)
+        outside = np.maximum(lowest.take(node) - positions, positions - highest.take(node))
+        np.maximum(outside, 0.0, out=outside)
+        outside *= outside
+        squared += outside
+    return squared

@@ -13,10 +13,9 @@ from typing import TypeVar
 import numpy as np
 
 from ...geometry.collapses import quadric_decimation
-from ...geometry.distance import closest_on_mesh, points_farther_than
 from ...jobs.progress import Progress, Steps, subprogress
 from .edge_operations import EdgeCollapses, evaluate_collapses, flip_edges, remove_degenerate
-from .reference_mesh import FAR_DISTANCE, MAX_UNASSIGNED, DecimatedMesh, ReferenceMesh
+from .reference_mesh import MAX_UNASSIGNED, DecimatedMesh, ReferenceMesh
 from .vertex_fit import fit_vertices
 
 Result = TypeVar("Result")
@@ -39,6 +38,7 @@ TRIAL_WORK = 4_000  # Sum of the triangle counts of all trials of each kind.
 MIN_FLIP_GAIN = 0.02  # In errors: smaller gains are not worth an edge flip.
 PROPOSAL_POWERS = (2.0, 3.0, 4.0)
 FIT_POWERS = (3.0, 4.0, 6.0, 6.0, 8.0, 8.0)
+DESCENT_POWERS = (6.0, 8.0)  # Of fits after a few collapses.
 UNASSIGNED_COST = 0.4  # Quads per unassigned face: some share one.
 MAX_OPTIMIZATIONS = 2  # Optimizations of a mesh before it is measured, each with the far points of the one before.
 MAX_HOPELESS_VIOLATIONS = 2.0  # Times MAX_UNASSIGNED: more violations are not optimized again.
@@ -116,7 +116,7 @@ def _descend(reference: ReferenceMesh, best: DecimatedMesh) -> Steps[DecimatedMe
         collapsed = collapses.apply(best.vertices, best.triangles, MAX_DESCENT_COST * reference.error, max_count, skipped)
         if len(collapsed[1]) == len(best.triangles):
             break
-        coarse, faces = _fit_and_flip(reference, *collapsed)
+        coarse, faces = _fit_and_flip(reference, *collapsed, DESCENT_POWERS)
         is_promising = len(reference.far_samples(coarse, faces, MAX_PROMISING_DISTANCE)) == 0
         better = _choose_better(best, _optimize_and_measure(reference, coarse, faces)) if is_promising else best
         if better is not best:
@@ -146,9 +146,9 @@ def _find_start(reference: ReferenceMesh, vertices: np.ndarray, triangles: np.nd
         coarse, faces = propose_mesh(vertices, triangles, target)
         if not len(faces):
             return None
-        samples = reference.sample(faces)
+        samples = reference.track(reference.sample(faces))
         coarse = fit_vertices(samples, coarse, faces, PROPOSAL_POWERS)
-        distance = np.quantile(closest_on_mesh(samples, coarse[faces])[0], PROPOSAL_QUANTILE)
+        distance = np.quantile(samples.find_closest(coarse[faces])[0], PROPOSAL_QUANTILE)
         return (coarse, faces) if distance <= MAX_PROPOSAL_DISTANCE * reference.error else None
 
     return _bisect_count(len(triangles), attempt) or (vertices, triangles)
@@ -159,21 +159,24 @@ def _evaluate_collapses(reference: ReferenceMesh, vertices: np.ndarray, triangle
     return evaluate_collapses(reference.active_samples(vertices, triangles), vertices, triangles)
 
 
-def _fit_and_flip(reference: ReferenceMesh, vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _fit_and_flip(
+    reference: ReferenceMesh, vertices: np.ndarray, triangles: np.ndarray, powers: tuple[float, ...] = FIT_POWERS
+) -> tuple[np.ndarray, np.ndarray]:
     """Move the vertices of the coarse mesh, flip edges that lower the distance, and move the vertices again."""
-    vertices = fit_vertices(reference.active_samples(vertices, triangles), vertices, triangles, FIT_POWERS)
+    vertices = fit_vertices(reference.track(reference.active_samples(vertices, triangles)), vertices, triangles, powers)
     samples = reference.active_samples(vertices, triangles)
     triangles = flip_edges(samples, vertices, triangles, MIN_FLIP_GAIN * reference.error)
-    return fit_vertices(samples, vertices, triangles, FIT_POWERS), triangles
+    return fit_vertices(reference.track(samples), vertices, triangles, powers), triangles
 
 
 def _optimize_and_measure(reference: ReferenceMesh, vertices: np.ndarray, triangles: np.ndarray) -> DecimatedMesh | None:
     """Run the final optimization. Returns the mesh with the fewest unassigned faces, or None if these are too many."""
-    best = None
+    best, assigned = None, reference.assign(vertices, triangles)
     for _ in range(MAX_OPTIMIZATIONS):
-        far = reference.points[points_farther_than(reference.points, vertices[triangles], FAR_DISTANCE * reference.error)]
-        moved, violations = reference.satisfy_bounds(np.concatenate([reference.sample(triangles), far]), vertices, triangles)
-        measured = reference.measure(moved, triangles)
+        samples = reference.optimized_samples(vertices, triangles)
+        moved, violations = reference.satisfy_bounds(samples, vertices, triangles, assigned)
+        assigned = assigned if moved is vertices else reference.assign(moved, triangles)
+        measured = reference.measure(moved, triangles, assigned)
         best = _choose_better(best, measured)
         is_hopeless = measured is None and violations > MAX_HOPELESS_VIOLATIONS * MAX_UNASSIGNED * len(triangles)
         if is_hopeless or moved is vertices or (measured is not None and len(measured.unassigned) == 0):

@@ -9,17 +9,19 @@ from ...geometry.distance import (
     closest_barycentric,
     closest_on_mesh,
     faces_farther_than,
-    one_sided_hausdorff,
     plane_barycentric,
     points_farther_than,
 )
 from ...geometry.mesh import face_areas_and_normals
+from ...geometry.tracked_points import TrackedPoints
 from .vertex_fit import EDGE_REGULARIZATION, MIN_WEIGHT, FitTargets, build_spring_matrix, solve_displacements
 
 MAX_SAMPLES = 16_000
 MIN_SAMPLES = 1_000
 SAMPLES_PER_TRIANGLE = 16  # Samples per coarse triangle, for moving its vertices and evaluating its collapses and flips.
 FAR_DISTANCE = 0.5  # In errors: all samples farther than this are used, even those not among the few per triangle.
+TRACKING_REACH = 1.0  # In errors.
+FAR_SAMPLE_DISTANCE = 0.6  # In errors, of samples that the final optimization uses.
 PAIRS_PER_CHUNK = 1_000_000  # Pairs of a face and a candidate triangle at once: bounds the memory of an assignment.
 MAX_STEPS = 10  # Maximum steps of the final optimization.
 MAX_STEPS_WITHOUT_GAIN = 3
@@ -42,27 +44,28 @@ NEAREST_PREFERENCE = 0.1  # Maximum penalty for a triangle that is not the neare
 class DecimatedMesh:
     """A coarse mesh in the space of the fine mesh.
 
-    All corners of an assigned face are within the error of the plane of its triangle, and its normal is within the normal bound if a nearby
-    triangle satisfies both. Unassigned faces, across a crease of the coarse mesh, need planes of their own.
+    An assigned face is within the error of the coarse mesh, and so are its corners of the plane of its triangle, whose normal is within
+    the normal bound if a nearby triangle satisfies both. Unassigned faces, across a crease of the coarse mesh, need planes of their own.
 
     Attributes:
         vertices: (V, 3) float64.
         triangles: (T, 3) int32.
         assignment: (S,) int32, coarse triangle whose plane replaces each fine face; -1 for the few unassigned faces.
-        distance: Upper bound of the one-sided distance from the assigned faces to the coarse mesh; at least half the error.
         normal_violations: Number of faces beyond the normal bound.
     """
 
     vertices: np.ndarray
     triangles: np.ndarray
     assignment: np.ndarray
-    distance: float
     normal_violations: int
 
     @property
     def unassigned(self) -> np.ndarray:
         """Indices (A,) of the unassigned fine faces."""
         return np.flatnonzero(self.assignment < 0)
+
+
+Assignment = tuple[np.ndarray, np.ndarray, np.ndarray]  # see `ReferenceMesh.assign`
 
 
 class ReferenceMesh:
@@ -76,8 +79,9 @@ class ReferenceMesh:
         self.areas, self.normals = face_areas_and_normals(corners)
         edge_midpoints = 0.5 * (corners + np.roll(corners, -1, axis=1))
         edge_points = np.unique(np.concatenate([corners, edge_midpoints]).reshape(-1, 3), axis=0)
-        self.points = np.concatenate([edge_points, corners.mean(axis=1)])
-        self.samples = _subsample(self.points, MAX_SAMPLES)
+        points = np.concatenate([edge_points, corners.mean(axis=1)])
+        self.samples = _subsample(points, MAX_SAMPLES)
+        self._dense_samples = points[::2]
 
     def far_samples(self, vertices: np.ndarray, triangles: np.ndarray, errors: float) -> np.ndarray:
         """Return the samples (K, 3) that are farther from the coarse mesh than this number of errors."""
@@ -91,11 +95,20 @@ class ReferenceMesh:
         """Return a few samples of the whole mesh, and all that are far from the coarse mesh."""
         return np.concatenate([self.sample(triangles), self.far_samples(vertices, triangles, FAR_DISTANCE)])
 
-    def measure(self, vertices: np.ndarray, triangles: np.ndarray) -> DecimatedMesh | None:
-        """Measure the coarse mesh. Returns None if it violates the bounds."""
+    def optimized_samples(self, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+        """Return samples for the final optimization, as `active_samples`, but the far ones among many more."""
+        far = points_farther_than(self._dense_samples, vertices[triangles], FAR_SAMPLE_DISTANCE * self.error)
+        return np.concatenate([self.sample(triangles), self._dense_samples[far]])
+
+    def track(self, points: np.ndarray) -> TrackedPoints:
+        """Return `points` (N, 3) for searches on a coarse mesh whose vertices move by fractions of an error."""
+        return TrackedPoints(points, TRACKING_REACH * self.error)
+
+    def measure(self, vertices: np.ndarray, triangles: np.ndarray, assigned: Assignment | None = None) -> DecimatedMesh | None:
+        """Measure the coarse mesh. Returns None if it violates the bounds. assigned: what `assign` returns for all faces, if known."""
         if face_areas_and_normals(vertices[triangles])[0].sum() > MAX_AREA_GROWTH * self.areas.sum():
             return None
-        assignment, heights, is_violating = self.assign(vertices, triangles)
+        assignment, heights, is_violating = assigned or self.assign(vertices, triangles)
         is_unassigned = heights > self.error
         if is_unassigned.sum() > MAX_UNASSIGNED * len(triangles):
             return None
@@ -103,18 +116,13 @@ class ReferenceMesh:
         is_unassigned |= faces_farther_than(self.corners, vertices[triangles], max_distance, TOLERANCE * self.error)
         if is_unassigned.sum() > MAX_UNASSIGNED * len(triangles) or is_unassigned.all():
             return None
-        assignment[is_unassigned] = -1
-        is_violating &= ~is_unassigned
+        assignment = np.where(is_unassigned, np.int32(-1), assignment)
+        is_violating = is_violating & ~is_unassigned
         if self.areas[is_violating].sum() > MAX_VIOLATING_AREA * self.areas.sum():
             return None
-        distance = one_sided_hausdorff(self.corners[~is_unassigned], vertices[triangles], TOLERANCE * self.error, 0.5 * self.error)
-        if distance > self.error:
-            return None
-        return DecimatedMesh(vertices, triangles, assignment, distance, int(is_violating.sum()))
+        return DecimatedMesh(vertices, triangles, assignment, int(is_violating.sum()))
 
-    def assign(
-        self, vertices: np.ndarray, triangles: np.ndarray, faces: np.ndarray | slice = slice(None)
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def assign(self, vertices: np.ndarray, triangles: np.ndarray, faces: np.ndarray | slice = slice(None)) -> Assignment:
         """Assign each of the fine `faces` to the nearest coarse triangle or one of its neighbors.
 
         Returns:
@@ -144,22 +152,32 @@ class ReferenceMesh:
             assignment[rows], heights[rows], is_violating[rows] = options[row, best], height[row, best], ~is_facing[row, best]
         return assignment, heights, is_violating
 
-    def satisfy_bounds(self, samples: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, float]:
+    def satisfy_bounds(
+        self, samples: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, assigned: Assignment
+    ) -> tuple[np.ndarray, float]:
         """Move vertices until planes are within the error of their faces' corners, and triangles within the error of `samples` (K, 3).
 
-        If the distances are small enough but the area is too large, stronger regularization shrinks it.
+        If the distances are small enough but the area is too large, stronger regularization shrinks it. A face keeps the plane that
+        `assigned` gives it, what `assign` returns for all faces, as long as that is within the error.
 
         Returns:
             The best vertices (V, 3) of all steps, and the number of bounds that they still violate, plus the penalty for the area.
         """
-        far_faces = np.flatnonzero(self.assign(vertices, triangles)[1] > FAR_DISTANCE * self.error)
+        plane, heights, _ = assigned
+        far_faces = np.flatnonzero(heights > FAR_DISTANCE * self.error)
+        plane, points = plane[far_faces], self.corners[far_faces]
         best, best_cost, best_step = vertices, np.inf, 0
         spring_matrix = build_spring_matrix(triangles, len(vertices))
+        tracked = self.track(samples)
         for step in range(MAX_STEPS):
             corners = vertices[triangles]
             _, normals = face_areas_and_normals(corners)
-            plane, heights, _ = self.assign(vertices, triangles, far_faces)
-            distances, nearest = closest_on_mesh(samples, corners)
+            residuals = _heights_over(points, corners, normals, plane)
+            lost = np.flatnonzero(np.abs(residuals).max(axis=1) > TARGET_DISTANCE * self.error)
+            plane[lost] = self.assign(vertices, triangles, far_faces[lost])[0]
+            residuals[lost] = _heights_over(points[lost], corners, normals, plane[lost])
+            heights = np.abs(residuals).max(axis=1)
+            distances, nearest = tracked.find_closest(corners)
             max_distance = max(float(heights.max(initial=0.0)), float(distances.max()))
             growth = face_areas_and_normals(corners)[0].sum() / self.areas.sum() / MAX_AREA_GROWTH
             violations = int((heights > TARGET_DISTANCE * self.error).sum() + (distances > TARGET_DISTANCE * self.error).sum())
@@ -168,16 +186,16 @@ class ReferenceMesh:
                 best, best_cost, best_step = vertices, cost, step
             if cost == 0.0 or step - best_step > MAX_STEPS_WITHOUT_GAIN:
                 break
-            points, plane = self.corners[far_faces].reshape(-1, 3), np.repeat(plane, 3)
+            flat_points, planes = points.reshape(-1, 3), np.repeat(plane, 3)
             barycentric = closest_barycentric(samples, corners[nearest])
             offsets = samples - np.einsum("nk,nkj->nj", barycentric, corners[nearest])
             lengths = np.where(distances > MIN_DIRECTION_DISTANCE * self.error, distances, np.inf)
-            residuals = np.concatenate([distances, np.einsum("ij,ij->i", points - corners[plane, 0], normals[plane])])
+            residuals = np.concatenate([distances, residuals.ravel()])
             relative_residuals = np.abs(residuals) / min(max_distance, MAX_WEIGHTED_DISTANCE * self.error)
             targets = FitTargets(
-                triangles=np.concatenate([nearest, plane]),
-                barycentric=np.concatenate([barycentric, plane_barycentric(points, corners[plane])]),
-                directions=np.concatenate([offsets / lengths[:, None], normals[plane]]),
+                triangles=np.concatenate([nearest, planes]),
+                barycentric=np.concatenate([barycentric, plane_barycentric(flat_points, corners[planes])]),
+                directions=np.concatenate([offsets / lengths[:, None], normals[planes]]),
                 residuals=residuals,
                 weights=np.minimum(relative_residuals, 1.0) ** POWER + MIN_WEIGHT,
             )
@@ -185,6 +203,11 @@ class ReferenceMesh:
             regularization = STRONG_REGULARIZATION if is_too_large else EDGE_REGULARIZATION
             vertices = vertices + NEWTON_STEP * solve_displacements(vertices, triangles, targets, spring_matrix, regularization)
         return best, best_cost
+
+
+def _heights_over(points: np.ndarray, corners: np.ndarray, normals: np.ndarray, plane: np.ndarray) -> np.ndarray:
+    """Return the heights (F, 3) of the corners `points` (F, 3, 3) of faces over the planes of their triangles `plane` (F,) of a mesh."""
+    return np.einsum("fci,fi->fc", points - corners[plane, :1], normals[plane])
 
 
 def _subsample(points: np.ndarray, max_count: int) -> np.ndarray:

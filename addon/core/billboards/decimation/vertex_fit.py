@@ -10,8 +10,9 @@ from scipy.sparse import csr_matrix, diags, identity, kron
 from scipy.sparse.linalg import spsolve
 
 from ...arrays import TINY
-from ...geometry.distance import closest_barycentric, closest_on_mesh
+from ...geometry.distance import closest_barycentric
 from ...geometry.mesh import face_areas_and_normals
+from ...geometry.tracked_points import TrackedPoints
 
 DAMPING = 1e-2  # Relative to the mean diagonal of the normal equations.
 EDGE_REGULARIZATION = 3e-3  # Relative to the same.
@@ -39,8 +40,8 @@ class FitTargets:
     weights: np.ndarray
 
 
-def fit_vertices(samples: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, powers: tuple[float, ...]) -> np.ndarray:
-    """Move vertices (V, 3) to bring the triangles closer to `samples` (S, 3). Returns the best of the start and of all steps.
+def fit_vertices(samples: TrackedPoints, vertices: np.ndarray, triangles: np.ndarray, powers: tuple[float, ...]) -> np.ndarray:
+    """Move vertices (V, 3) to bring the triangles closer to `samples`. Returns the best of the start and of all steps.
 
     Every step solves for the displacements that lower the sum of |distance|^power, linearized at the closest points (iteratively
     reweighted least squares). `powers` has one entry per step; high powers lower the maximum distance.
@@ -49,14 +50,14 @@ def fit_vertices(samples: np.ndarray, vertices: np.ndarray, triangles: np.ndarra
     spring_matrix = build_spring_matrix(triangles, len(vertices))
     for power in (*powers, None):
         corners = vertices[triangles]
-        distances, nearest = closest_on_mesh(samples, corners)
+        distances, nearest = samples.find_closest(corners)
         max_distance = float(distances.max())
         if max_distance < best_distance:
             best, best_distance = vertices, max_distance
-        if power is None or max_distance <= EXACT_FIT * np.ptp(samples, axis=0).max():
+        if power is None or max_distance <= EXACT_FIT * np.ptp(samples.points, axis=0).max():
             break
-        barycentric = closest_barycentric(samples, corners[nearest])
-        offsets = samples - np.einsum("nk,nkj->nj", barycentric, corners[nearest])
+        barycentric = closest_barycentric(samples.points, corners[nearest])
+        offsets = samples.points - np.einsum("nk,nkj->nj", barycentric, corners[nearest])
         _, normals = face_areas_and_normals(corners)
         has_offset = distances > MIN_DIRECTION_DISTANCE * max_distance
         directions = np.where(has_offset[:, None], offsets / np.where(has_offset, distances, 1.0)[:, None], normals[nearest])

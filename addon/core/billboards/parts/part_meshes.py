@@ -8,7 +8,8 @@ import numpy as np
 from ...errors import GeometryError
 from ...geometry.distance import TriangleTree, closest_barycentric
 from ...geometry.mesh import TriangleMesh, face_areas_and_normals, longest_side
-from ...jobs.progress import run_to_end
+from ...geometry.tracked_points import TrackedPoints
+from ...jobs.progress import Progress, Steps
 from ...texmesh.settings import TexmeshSettings
 from ...texmesh.simplification.levels import extract_level, simplify_by_cost
 from ...texmesh.textured_mesh import build_textured_mesh
@@ -23,7 +24,9 @@ MAX_FINE_TRIANGLES = 50_000  # Larger parts are decimated to so many triangles f
 MAX_FIT_SAMPLES = 6_000  # Vertices are fitted to so many points at most.
 SAMPLES_PER_TRIANGLE = 24  # Of the coarse mesh, if that is fewer.
 MIN_FIT_SAMPLES = 500
+TRACKING_REACH = 0.5  # In errors.
 FIT_POWERS = ((2.0, 3.0), (4.0, 6.0), (6.0, 8.0))
+MAX_DISTANCES = (6.0, 1.6, 1.25, 1.0)  # In errors, before each fit and after the last: meshes that are farther are given up.
 MAX_EXCESS = 0.9  # In errors: vertices that are fitted beyond this distance from the surface are moved back to it.
 MAX_BACK_DISTANCE = 1.25  # In errors, of points of the mesh from the surface.
 SAMPLE_SPACING = 0.5  # Of the points on large faces, in errors.
@@ -36,6 +39,7 @@ BARYCENTRIC = np.array(
     [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 1.0, 1.0], [1.0, 1.0, 0.0], [0.0, 1.0, 1.0], [1.0, 0.0, 1.0]]
 )
 BARYCENTRIC /= BARYCENTRIC.sum(axis=1, keepdims=True)
+LABEL = "Simplifying solid parts"
 CENTROID = 3  # The row of `BARYCENTRIC` that is the centroid.
 
 
@@ -55,34 +59,36 @@ class Part:
         self._points = np.unique(corners.reshape(-1, 3), axis=0)
         self._tree = TriangleTree(corners)
         self._areas, self._normals = face_areas_and_normals(corners)
-        self._chain: list[PartMesh] = []  # From coarse to fine.
-        self._chain_limit = 0
+        self._chains: dict[int, list[PartMesh]] = {}  # From coarse to fine, by the limit for which they were prepared, ascending.
 
-    def simplify(self, error: float, max_triangles: int) -> PartMesh | None:
+    def simplify(self, error: float, max_triangles: int) -> Steps[PartMesh | None]:
         """Return a mesh with the fewest triangles, at most `max_triangles`, from which no point of the surface is farther than `error`, and
-        which itself hardly is; None if there is none.
+        which itself hardly is; None if there is none. Call `prepare` before.
 
         Distances are measured at all vertices, and on faces that are larger than the error at points about as dense as the error.
         """
-        self._extend_chain(max_triangles)
-        count = sum(len(mesh.triangles) <= max_triangles for mesh in self._chain)
+        limit = min(max_triangles, len(self._corners))
+        chain = next((chain for prepared, chain in self._chains.items() if prepared >= limit), [])
+        count = sum(len(mesh.triangles) <= max_triangles for mesh in chain)
         if not count:
             return None
         samples = self._sample(error)
         best, low, high = None, 0, count
         while best is None and high > max(count - FIRST_ATTEMPTS, 0):  # A finer mesh does not always fit where a coarser one does.
+            yield Progress(0.0, LABEL)
             high -= 1
-            best = self._fit(self._chain[high], samples, error)
+            best = self._fit(chain[high], samples, error)
         while best is not None and low < high:
+            yield Progress(1.0 - (high - low) / count, LABEL)
             index = (low + high) // 2
-            found = self._fit(self._chain[index], samples, error)
+            found = self._fit(chain[index], samples, error)
             best, low, high = (best, index + 1, high) if found is None else (found, low, index)
         return best
 
-    def _extend_chain(self, limit: int) -> None:
-        """Prepare meshes of up to `limit` triangles."""
+    def prepare(self, limit: int) -> Steps[None]:
+        """Prepare meshes of up to `limit` triangles, unless there are some for a higher limit."""
         limit = min(limit, len(self._corners))
-        if limit <= self._chain_limit or limit < MIN_TRIANGLES:
+        if limit <= max(self._chains, default=MIN_TRIANGLES - 1):
             return
         points, index = np.unique(self._corners.reshape(-1, 3), axis=0, return_inverse=True)
         unit, center = longest_side(points), points.mean(axis=0)
@@ -96,28 +102,27 @@ class Part:
         except GeometryError:
             return
         steps = simplify_by_cost(mesh, lambda mesh, _: PlaneQuadrics(mesh), targets, TexmeshSettings(drastic_simplification=False))
-        levels = [extract_level(mesh, level) for level in run_to_end(steps).levels]
+        levels = [extract_level(mesh, level) for level in (yield from steps).levels]
         meshes = {len(level.triangles): PartMesh(level.vertices * unit + center, level.triangles) for level in levels}
-        self._chain = [meshes[count] for count in sorted(meshes) if count >= MIN_TRIANGLES]
-        self._chain_limit = limit
+        self._chains[limit] = [meshes[count] for count in sorted(meshes) if count >= MIN_TRIANGLES]
 
     def _fit(self, mesh: PartMesh, samples: np.ndarray, error: float) -> PartMesh | None:
         """Return `mesh` with its vertices moved to where it is within `error`, None if it is not."""
         count = min(max(SAMPLES_PER_TRIANGLE * len(mesh.triangles), MIN_FIT_SAMPLES), MAX_FIT_SAMPLES, len(samples))
-        if self._is_within(mesh, samples, error):
-            return mesh
-        vertices = mesh.vertices
-        for powers in FIT_POWERS:
-            vertices = fit_vertices(samples[:count], vertices, mesh.triangles, powers)
-            vertices = self._move_back(vertices, MAX_EXCESS * error)
-            fitted = PartMesh(vertices, mesh.triangles)
-            if self._is_within(fitted, samples, error):
-                return fitted
+        tracked = TrackedPoints(samples[:count], TRACKING_REACH * error)
+        for powers, max_distance in zip((*FIT_POWERS, None), MAX_DISTANCES, strict=True):
+            distance = tracked.find_closest(mesh.vertices[mesh.triangles])[0].max()
+            if distance <= MARGIN * error and self._is_within(mesh, samples, error):
+                return mesh
+            if powers is None or distance > max_distance * error:
+                return None
+            vertices = fit_vertices(tracked, mesh.vertices, mesh.triangles, powers)
+            mesh = PartMesh(self._move_back(vertices, MAX_EXCESS * error), mesh.triangles)
         return None
 
     def _move_back(self, vertices: np.ndarray, distance: float) -> np.ndarray:
         """Return `vertices` (V, 3), moved to `distance` from the surface where they are farther."""
-        distances, nearest = self._tree.find_closest(vertices)
+        distances, nearest = self._tree.find_closest(vertices, distance)
         far = np.flatnonzero(distances > distance)
         corners = self._corners[nearest[far]]
         closest = np.einsum("nk,nki->ni", closest_barycentric(vertices[far], corners), corners)
@@ -135,9 +140,10 @@ class Part:
             if len(part) and tree.find_closest(part, MARGIN * error)[0].max() > MARGIN * error:
                 return False
         positions = np.einsum("sc,tci->tsi", BARYCENTRIC, corners)
-        distances, nearest = self._tree.find_closest(positions.reshape(-1, 3))
-        facing = np.einsum("ti,ti->t", normals, self._normals[nearest.reshape(len(corners), -1)[:, CENTROID]])
-        is_reversed = facing < 0.0
+        limits = np.full(positions.shape[:2], MAX_BACK_DISTANCE * error)
+        limits[:, CENTROID] = 0.0
+        distances, nearest = self._tree.find_closest(positions.reshape(-1, 3), limits.ravel())
+        is_reversed = np.einsum("ti,ti->t", normals, self._normals[nearest.reshape(limits.shape)[:, CENTROID]]) < 0.0
         return bool(distances.max() <= MAX_BACK_DISTANCE * error and areas[is_reversed].sum() <= MAX_REVERSED_AREA * areas.sum())
 
     def _sample(self, error: float) -> np.ndarray:

@@ -1,13 +1,14 @@
 """Choice of the parts that a level shows as meshes, and the covering that it gets: charts for these, quads for the rest."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...geometry.distance import TriangleTree
 from ...geometry.mesh import face_areas_and_normals
-from ...jobs.progress import Progress, Steps
+from ...jobs.parallel_steps import run_in_parallel
+from ...jobs.progress import Progress, Steps, subprogress
 from ..clustering.patches import Covering, Patch, group_by_label, merge_coverings
 from ..primitives import Components, Primitives
 from .charts import PlacedChart, divide_into_charts
@@ -21,9 +22,10 @@ TRIANGLES_PER_QUAD = 2.2
 MARGIN = 1.5  # In errors: what lies within this distance of a chart is drawn on it, for the filter at its border.
 MIN_FACING = 0.1  # Cosine between a chart and what is drawn in its margin.
 SAMPLE_WEIGHTS = np.array([[0.9, 0.05, 0.05], [0.05, 0.9, 0.05], [0.05, 0.05, 0.9], [1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0]])
+PREPARED, SIMPLIFIED = 0.4, 0.8  # Fractions of the progress.
 MAX_STEPS = 8  # Samples along each edge of a triangle of the mesh, at most.
 
-Recover = Callable[[np.ndarray], Steps[Covering]]
+Recover = Callable[[np.ndarray, float], Steps[Covering]]
 
 
 @dataclass(frozen=True)
@@ -37,30 +39,79 @@ class _MeshedPart:
 
 
 def mesh_parts(
-    primitives: Primitives, components: Components, covering: Covering, error: float, parts: dict[int, Part], recover: Recover
-) -> Steps[Covering]:
-    """Return `covering` with the parts that a mesh shows with about as few triangles replaced by charts of that mesh.
+    primitives: Primitives,
+    components: Components,
+    coverings: Sequence[Covering],
+    errors: Sequence[float],
+    parts: dict[int, Part],
+    recover: Recover,
+) -> Steps[list[Covering]]:
+    """Return `coverings` with the parts that a mesh shows with about as few triangles replaced by charts of that mesh.
+
+    Levels have the meshes that parts are simplified to in common. These are made first, then levels and parts are independent.
 
     Args:
-        error: length, of the covering.
+        errors: lengths, of the coverings.
         parts: parts by the label of their component that were prepared before; more are added.
-        recover: returns the covering of the primitives (K,) that lose their quads, in their numbering.
+        recover: returns the covering of the primitives (K,) that lose their quads, in their numbering, within an error.
     """
-    chosen = yield from _choose(primitives, components, covering, error, parts)
+    if primitives.corners.shape[1] != 3:
+        return list(coverings)
+    expected = np.array([_count_triangles(primitives, components, covering) for covering in coverings])
+    expected[:, np.unique(components.labels[components.sheets])] = 0.0
+    expected[expected < MIN_PART_TRIANGLES] = 0.0
+    labels = np.flatnonzero(expected.any(axis=0))
+    if not len(labels):
+        return list(coverings)
+    members = group_by_label(components.labels, expected.shape[1])
+    for label in labels:
+        if label not in parts:
+            parts[label] = Part(primitives.positions[members[label]])
+    limits = (MAX_TRIANGLE_RATIO * expected).astype(np.int64)
+    steps = run_in_parallel([_prepare(parts[label], limits[:, label]) for label in labels])
+    yield from subprogress(steps, 0.0, PREPARED, "Solid parts: ")
+    pairs = np.argwhere(expected > 0.0)
+    steps = run_in_parallel([_simplify(parts[label], members[label], expected[level, label], errors[level]) for level, label in pairs])
+    meshed = yield from subprogress(steps, PREPARED, SIMPLIFIED)
+    chosen = [[item for item, (other, _) in zip(meshed, pairs, strict=True) if item and other == level] for level in range(len(errors))]
+    levels = zip(coverings, errors, chosen, strict=True)
+    steps = run_in_parallel([_replace_quads(primitives, components, *level, recover) for level in levels])
+    return (yield from subprogress(steps, SIMPLIFIED, 1.0))
+
+
+def _prepare(part: Part, limits: np.ndarray) -> Steps[None]:
+    """Prepare `part` for levels with up to `limits` (L,) triangles, as one after the other would."""
+    for limit in limits:
+        yield from part.prepare(int(limit))
+
+
+def _simplify(part: Part, members: np.ndarray, expected: float, error: float) -> Steps[_MeshedPart | None]:
+    """Return the mesh of `part`, whose primitives are `members` (K,), if it has about as few triangles as `expected`."""
+    mesh = yield from part.simplify(error, int(MAX_TRIANGLE_RATIO * expected))
+    charts = [] if mesh is None else divide_into_charts(mesh)
+    is_chosen = charts and len(charts) <= MAX_CHART_RATIO * len(mesh.triangles)
+    return _MeshedPart(members, expected, mesh, charts) if is_chosen else None
+
+
+def _replace_quads(
+    primitives: Primitives, components: Components, covering: Covering, error: float, chosen: list[_MeshedPart], recover: Recover
+) -> Steps[Covering]:
+    """Return `covering` with the quads of the parts `chosen` replaced by charts of their meshes, if that is light."""
     if not chosen:
         return covering
     is_meshed = np.zeros(len(primitives), bool)
     for item in chosen:
         is_meshed[item.members] = True
     charts: list[tuple[np.ndarray, Covering]] = []
-    for item in chosen:
+    for index, item in enumerate(chosen):
+        yield Progress(index / len(chosen), "Dividing solid parts")
         is_absorbed = _find_absorbed(primitives, components, item, is_meshed, error)
         is_meshed |= is_absorbed
         members = np.concatenate([item.members, np.flatnonzero(is_absorbed)])
         charts.append((members, _cover_with_charts(primitives.subset(members), item, error)))
     kept, orphans = _keep_quads(covering, is_meshed)
     if len(orphans):
-        charts.append((orphans, (yield from recover(orphans))))
+        charts.append((orphans, (yield from recover(orphans, error))))
     merged = merge_coverings([(np.arange(len(primitives)), kept), *charts], len(primitives))
     return merged if _is_light(merged, covering, chosen) else covering
 
@@ -72,28 +123,6 @@ def _is_light(merged: Covering, covering: Covering, chosen: list[_MeshedPart]) -
     flat = TRIANGLES_PER_QUAD * sum(patch.chart is None for patch in merged.patches)
     count = flat + sum(len(item.mesh.triangles) for item in chosen)
     return count <= MAX_TRIANGLE_RATIO * expected + MAX_REST_RATIO * rest
-
-
-def _choose(
-    primitives: Primitives, components: Components, covering: Covering, error: float, parts: dict[int, Part]
-) -> Steps[list[_MeshedPart]]:
-    """Choose the parts with meshes."""
-    if primitives.corners.shape[1] != 3:
-        return []
-    expected = _count_triangles(primitives, components, covering)
-    expected[np.unique(components.labels[components.sheets])] = 0.0
-    labels = np.flatnonzero(expected >= MIN_PART_TRIANGLES)
-    members = group_by_label(components.labels, len(expected)) if len(labels) else []
-    chosen = []
-    for index, label in enumerate(labels):
-        yield Progress(index / len(labels), "Simplifying solid parts")
-        if label not in parts:
-            parts[label] = Part(primitives.positions[members[label]])
-        mesh = parts[label].simplify(error, int(MAX_TRIANGLE_RATIO * expected[label]))
-        placed = [] if mesh is None else divide_into_charts(mesh)
-        if placed and len(placed) <= MAX_CHART_RATIO * len(mesh.triangles):
-            chosen.append(_MeshedPart(members[label], expected[label], mesh, placed))
-    return chosen
 
 
 def _count_triangles(primitives: Primitives, components: Components, covering: Covering) -> np.ndarray:
@@ -154,9 +183,10 @@ def _cover_with_charts(primitives: Primitives, item: _MeshedPart, error: float) 
     pairs.append((chart_of[triangles][facing], nearest[facing]))
     quads, shown = (np.concatenate(values) for values in zip(*pairs, strict=True))
     drawn = group_by_label(quads, len(placed))
+    bounds = primitives.positions.min(axis=1), primitives.positions.max(axis=1)
     patches = []
     for index, chart in enumerate(placed):
-        members = np.union1d(shown[drawn[index]], _find_margin(primitives, chart, error))
+        members = np.union1d(shown[drawn[index]], _find_margin(primitives, bounds, chart, error))
         patches.append(_to_patch(chart, members))
     return Covering(patches, owner.astype(np.int32))
 
@@ -176,15 +206,17 @@ def _sample_triangles(corners: np.ndarray, error: float) -> tuple[np.ndarray, np
     return np.concatenate(points), np.concatenate(owners)
 
 
-def _find_margin(primitives: Primitives, chart: PlacedChart, error: float) -> np.ndarray:
-    """Return the primitives (N,) that face `chart` and reach into its margin."""
+def _find_margin(primitives: Primitives, bounds: tuple[np.ndarray, np.ndarray], chart: PlacedChart, error: float) -> np.ndarray:
+    """Return the primitives (N,) that face `chart` and reach into its margin. bounds: low and high corners (P, 3) of the primitives."""
     low, high = (bound(chart.chart.vertices, axis=0) for bound in (np.min, np.max))
-    positions, margin = primitives.positions, MARGIN * error
-    is_near = ((positions.max(axis=1) >= low - margin) & (positions.min(axis=1) <= high + margin)).all(axis=1)
-    candidates = np.flatnonzero(is_near & (primitives.normals @ chart.normal >= MIN_FACING))
+    margin = MARGIN * error
+    candidates = np.flatnonzero(primitives.normals @ chart.normal >= MIN_FACING)
+    for axis in range(3):
+        lows, highs = (bound[candidates, axis] for bound in bounds)
+        candidates = candidates[(highs >= low[axis] - margin) & (lows <= high[axis] + margin)]
     if not len(candidates):
         return candidates
-    corners = positions[candidates]
+    corners = primitives.positions[candidates]
     tree = TriangleTree(chart.chart.vertices[chart.chart.triangles])
     distances = tree.find_closest(corners.reshape(-1, 3), margin)[0].reshape(corners.shape[:2])
     return candidates[distances.min(axis=1) <= margin]
