@@ -19,6 +19,7 @@ from ..operators.billboards.operators import (
     FARFIELD_OT_billboards_show_level,
     disabled_reason,
 )
+from ..operators.billboards.sources import describe_selection
 from .sidebar import (
     SettingsPanel,
     SidebarPanel,
@@ -56,7 +57,11 @@ class FARFIELD_PT_billboards(BillboardSettingsPanel, ToolPanel, bpy.types.Panel)
         if draw_progress_bar(self.layout, reason):
             return
         if not reason:
-            draw_estimate(self.layout, context, context.scene.farfield_billboards)
+            group = context.scene.farfield_billboards
+            selection = describe_selection(context, group.combine_selected)
+            if selection:
+                draw_message(self.layout, selection, "OUTLINER_COLLECTION" if group.combine_selected else "OBJECT_DATA")
+            draw_estimate(self.layout, context, group)
         draw_button(self.layout, FARFIELD_OT_billboards_build, "Build", "MESH_GRID")
 
 

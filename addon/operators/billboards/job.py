@@ -153,15 +153,23 @@ def _describe_levels(cloud: Cloud) -> str:
 
 
 def prepare_job(
-    context: bpy.types.Context, objects: Sequence[bpy.types.Object], settings: BillboardSettings, options: BuildOptions
+    context: bpy.types.Context,
+    objects: Sequence[bpy.types.Object],
+    settings: BillboardSettings,
+    options: BuildOptions,
+    name: str = "",
 ) -> BillboardJob:
     """Return the job that builds clouds of `objects` in the scene of `context`.
+
+    name: of a cloud of several objects, in place of that which `read_combined` finds.
 
     Raises:
         GeometryError: no cloud can be built from any of them; the message names each with the reason.
         FileError: an image file of a material is missing.
     """
     sources, skipped = read_sources(context, objects, options.combine_selected)
+    if name and len(sources) == 1 and len({instance.object_uid for instance in sources[0].instances}) > 1:
+        sources = [replace(sources[0], name=name)]
     if settings.textures:
         for source in sources:
             images.check_images(source)

@@ -50,7 +50,8 @@ def disabled_reason(context: bpy.types.Context) -> str:
 
 
 class FARFIELD_OT_billboards_build(start_job.StartJob, bpy.types.Operator):
-    """Create a billboard cloud with several levels of detail for each selected object, or build a selected cloud again from its original"""
+    """Create a billboard cloud with several levels of detail for each selected object, or one for all of them, or build a selected cloud
+    again from its original"""
 
     bl_idname = "farfield.billboards_build"
     bl_label = "Build Billboard Cloud"
