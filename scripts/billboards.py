@@ -43,7 +43,7 @@ EXTENSIONS = (".blend", ".obj", ".glb")
 
 def build_parser() -> command_line.Parser:
     """Return the parser of all arguments of the script."""
-    parser = command_line.Parser(prog="billboards.py", description="Build a billboard cloud: a few textured quads that replace a mesh.")
+    parser = command_line.Parser(prog="billboards.py", description="Build a billboard cloud: a few textured triangles that replace a mesh.")
     parser.add_argument(
         "input", type=run_files.INPUT, help="a .blend .obj .ply .stl .glb .gltf .fbx or .usd file; a .ply may be a point cloud"
     )
@@ -152,9 +152,7 @@ def build_report(job: BillboardJob, clock: StageClock) -> dict[str, Any]:
     return {
         "source_triangles": sum(cloud.source_triangles for cloud in clouds),
         "dropped_triangles": sum(cloud.dropped_triangles for cloud in clouds),
-        "quads": levels[0]["quads"],
-        "triangles": levels[0]["triangles"],
-        "texels": levels[0]["texels"],
+        **{key: levels[0][key] for key in ("triangles", "mesh_triangles", "quads", "texels")},
         "levels": levels,
         "max_plane_distance": max(cloud.max_plane_distance for cloud in clouds),
         "faces_beyond_normal_bound": sum(cloud.faces_beyond_normal_bound for cloud in clouds),
@@ -171,9 +169,9 @@ def build_level_report(levels: list[Level], objects: list[bpy.types.Object]) -> 
     distance = max(item["farfield_switch_distance"] for item in objects)
     return {
         "error": max(level.error for level in levels),
-        "quads": sum(len(level.quads) for level in levels),
         "triangles": sum(level.triangle_count for level in levels),
         "mesh_triangles": sum(level.chart_triangle_count for level in levels),
+        "quads": sum(len(level.quads) for level in levels),
         "texels": sum(level.texel_count for level in levels),
         "atlas_use": round(sum(level.texel_count for level in levels) / sum(math.prod(level.atlas.size) for level in levels), 4),
         "switch_distance": distance if math.isfinite(distance) else None,

@@ -25,8 +25,9 @@ SCRIPT = environment.ROOT / "scripts" / "billboards.py"
 REPORT_KEYS = {
     "source_triangles",
     "dropped_triangles",
-    "quads",
     "triangles",
+    "mesh_triangles",
+    "quads",
     "texels",
     "levels",
     "max_plane_distance",

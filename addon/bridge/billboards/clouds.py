@@ -19,6 +19,7 @@ from .level_objects import CENTER, QUAD_ATTRIBUTE
 
 CLOUD = "cloud"  # the KIND of levels
 FINGERPRINT = "farfield_source_fingerprint"  # Custom property of a cloud's collection, see `Source.fingerprint`.
+MESH_TRIANGLES = "farfield_mesh_triangles"  # Custom property of a level: triangles in decimated meshes; older levels lack it.
 NOTES = "farfield_notes"  # Custom property of a cloud's collection: sentences about its levels, see `Cloud.notes`.
 CORNER_NORMALS = "custom_normal"  # Blender's built-in attribute of custom normals.
 DRAWN_OFFSETS, DRAWN = "farfield_drawn_offsets", "farfield_drawn"  # Custom properties of a level's mesh, see `cloud.Quads`.
@@ -32,8 +33,8 @@ def create_cloud(
 
     The objects are located at the source's origin, without rotation or scale. Their custom properties are farfield_kind ("cloud"),
     farfield_level, farfield_error (a length), farfield_switch_distance (for the active camera of the first scene that contains the parent,
-    otherwise for Blender's default camera; inf for an orthographic camera that shows the error), farfield_quads, farfield_texels,
-    farfield_atlas, farfield_center and farfield_texture_bytes. Without `textures` the material is gray.
+    otherwise for Blender's default camera; inf for an orthographic camera that shows the error), farfield_mesh_triangles,
+    farfield_quads, farfield_texels, farfield_atlas, farfield_center and farfield_texture_bytes. Without `textures` the material is gray.
     """
     collection = bpy.data.collections.new(f"{source.name} Cloud")
     camera = _find_camera(collection_parent)
@@ -77,6 +78,7 @@ def _write_properties(level_object: bpy.types.Object, index: int, level: Level, 
     level_object["farfield_level"] = index
     level_object["farfield_error"] = float(level.error)
     level_object["farfield_switch_distance"] = float(camera.switch_distance(level.error))
+    level_object[MESH_TRIANGLES] = level.chart_triangle_count
     level_object["farfield_quads"] = len(level.quads)
     level_object["farfield_texels"] = level.texel_count
     level_object["farfield_atlas"] = list(level.atlas.size)

@@ -163,8 +163,9 @@ def _estimate(trials: list[Trial], settings: BillboardSettings) -> Steps[list[Le
 def _sum(levels: list[LevelEstimate]) -> LevelEstimate:
     return LevelEstimate(
         error=max(level.error for level in levels),
-        quads=sum(level.quads for level in levels),
         triangles=sum(level.triangles for level in levels),
+        mesh_triangles=sum(level.mesh_triangles for level in levels),
+        quads=sum(level.quads for level in levels),
         texels=sum(level.texels for level in levels),
         bytes=sum(level.bytes for level in levels),
     )

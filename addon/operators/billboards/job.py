@@ -20,6 +20,7 @@ from ...core.billboards.settings import BillboardSettings, BuildOptions
 from ...core.errors import GeometryError
 from ...core.geometry.local_origin import describe_coarseness
 from ...core.jobs.progress import Progress, Steps, subprogress
+from ...core.messages import format_count
 from .sources import linked_sources_message, read_sources
 
 CAPTURE_FRACTION = 0.95  # End of the capture in the progress of the scene steps.
@@ -145,11 +146,14 @@ class BillboardJob:
 
 
 def _describe_levels(cloud: Cloud) -> str:
-    """Return the numbers of quads of all levels, and those of triangles, in all and in the meshes of solid parts."""
-    quads, triangles = ([str(len(level.quads)) for level in cloud.levels], [str(level.triangle_count) for level in cloud.levels])
-    in_meshes = [str(level.chart_triangle_count) for level in cloud.levels]
-    meshes = f", {', '.join(in_meshes)} of them in meshes" if any(level.chart_triangle_count for level in cloud.levels) else ""
-    return f"{', '.join(quads)} quads; {', '.join(triangles)} triangles{meshes}"
+    """Return the numbers of triangles, also of those in meshes, and of quads of all levels."""
+    return "; ".join(describe_counts(level.triangle_count, level.chart_triangle_count, len(level.quads)) for level in cloud.levels)
+
+
+def describe_counts(triangles: int, mesh_triangles: int, quads: int) -> str:
+    """Return the number of triangles of a level, how many of them belong to decimated meshes, and that of its quads, as text."""
+    in_meshes = f" ({mesh_triangles:,} in meshes)" if mesh_triangles else ""
+    return f"{format_count(triangles, 'triangle')}{in_meshes}, {format_count(quads, 'quad')}"
 
 
 def prepare_job(
