@@ -145,6 +145,11 @@ def build_report(job: BillboardJob, clock: StageClock) -> dict[str, Any]:
         build_level_report([cloud.levels[index] for cloud in clouds], [objects[index] for objects in level_objects])
         for index in range(len(level_objects[0]))
     ]
+    for index, level in enumerate(levels):
+        found = next((item for item in job.comparisons[0] if item.level == index), None) if len(clouds) == 1 else None
+        differences = (None, None) if found is None else (found.cloud.visible, None if found.decimate is None else found.decimate.visible)
+        for key, value in zip(("visible_difference", "decimate_visible_difference"), differences, strict=True):
+            level[key] = None if value is None else round(value, 4)
     seconds = dict(clock.seconds)
     for stages in (*(cloud.seconds for cloud in clouds), job.seconds):
         for stage, duration in stages.items():

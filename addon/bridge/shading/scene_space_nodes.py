@@ -84,6 +84,26 @@ def to_rgba(values: Sequence[float]) -> Rgba:
     return tuple([*values, 0.0][:3] + [values[3] if len(values) == 4 else 1.0])
 
 
+def reads_object(tree: bpy.types.NodeTree, is_one_of_several: bool) -> bool:
+    """Return whether `tree` and the node groups inside it read anything that one mesh of all objects of a source would not have.
+
+    is_one_of_several: whether the source has several objects or instances, so that it also lacks their coordinates and properties.
+    """
+    for node in nodes_in(tree):
+        linked = {output.name for output in node.outputs if output.is_linked}
+        if node.bl_idname == "ShaderNodeObjectInfo" and (is_one_of_several or "Random" in linked):
+            return True
+        if not is_one_of_several:
+            continue
+        if node.bl_idname == "ShaderNodeAttribute" and node.attribute_type in {"OBJECT", "INSTANCER"}:
+            return True
+        if node.bl_idname == "ShaderNodeTexCoord" and linked & {"Generated", "Object"}:
+            return True
+        if node.bl_idname in GENERATED_BY_DEFAULT and not node.inputs["Vector"].is_linked:
+            return True
+    return False
+
+
 def required_attributes(tree: bpy.types.NodeTree) -> set[str]:
     """Return the names of the attributes read by `tree` and the node groups inside it."""
     keys = ("attribute_name", "layer_name", "uv_map")
