@@ -1,8 +1,8 @@
 """Build a billboard cloud from a file: `python3 scripts/billboards.py INPUT --out OUT.blend [flags]`.
 
-INPUT is a .blend, .obj, .ply, .stl, .glb, .gltf, .fbx or .usd file; a .ply may be a point cloud. All objects that are visible in renders
-become one cloud. The extension of --out selects the output: .blend (the whole scene with the cloud), .obj or .glb (the cloud's levels with
-their textures). `blender --background --python scripts/billboards.py -- INPUT --out OUT` does the same.
+INPUT is a .blend, .obj, .ply, .stl, .glb, .gltf, .fbx or .usd file; a .ply may be a point cloud. All objects that are visible in renders,
+or those of --collection, become one cloud. The extension of --out selects the output: .blend (the whole scene with the cloud), .obj or .glb
+(the cloud's levels with their textures). `blender --background --python scripts/billboards.py -- INPUT --out OUT` does the same.
 """
 
 import math
@@ -43,13 +43,14 @@ EXTENSIONS = (".blend", ".obj", ".glb")
 
 def build_parser() -> command_line.Parser:
     """Return the parser of all arguments of the script."""
-    parser = command_line.Parser(prog="billboards.py", description="Build a billboard cloud: a few textured quads that replace a mesh.")
+    parser = command_line.Parser(prog="billboards.py", description="Build a billboard cloud: a few textured triangles that replace a mesh.")
     parser.add_argument(
         "input", type=run_files.INPUT, help="a .blend .obj .ply .stl .glb .gltf .fbx or .usd file; a .ply may be a point cloud"
     )
     parser.add_argument(
         "--out", type=run_files.OUTPUT_SCENE.ending_in(*EXTENSIONS), required=True, help="the file to write: .blend, .obj or .glb"
     )
+    parser.add_argument("--collection", metavar="NAME", help="use only the objects of this collection, and of those inside it")
     parser.add_argument("--report", type=run_files.REPORT, help="write a report of the run to this JSON file")
     add_flags(parser, BillboardSettings)
     add_flags(parser, BuildOptions, ["keep_original_visible"])
@@ -71,7 +72,8 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
         moved = scene_files.describe_moved(scene_files.open_near_origin(given.input.absolute(), given.files))
         if given.cross_fade and read_scene_camera(bpy.context.scene) is None:
             raise GeometryError("--cross-fade needs an active camera, and the file has none; add a camera, or omit --cross-fade.")
-        job = prepare_input(given.input, settings[BillboardSettings], replace(settings[BuildOptions], combine_selected=True))
+        options = replace(settings[BuildOptions], combine_selected=True)
+        job = prepare_input(given.input, settings[BillboardSettings], options, given.collection)
     for reason in job.skipped:
         command_line.print_message(f"Skipped: {reason}.")
     summary = run_to_end(run_job(job), line.show)
@@ -85,13 +87,33 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     return join_sentences([summary, moved, *lacking])
 
 
-def prepare_input(path: Path | None, settings: BillboardSettings, options: BuildOptions) -> BillboardJob:
-    """Return the job for all objects of the open scene, read from `path` if it is given, that are visible in renders."""
-    candidates = [item for item in bpy.context.scene.objects if may_have_surface(item)]
-    job = prepare_job(bpy.context, scene_files.objects_in_renders(path), settings, options)
+def prepare_input(path: Path | None, settings: BillboardSettings, options: BuildOptions, collection: str | None = None) -> BillboardJob:
+    """Return the job for all objects of the open scene, read from `path` if it is given, that are visible in renders; only for those of
+    the collection named `collection` if that is given. A cloud of several objects has the name of the collection or of the file.
+
+    Raises:
+        GeometryError: there are none, or no cloud can be built from any of them.
+        FileError: an image file of a material is missing.
+    """
+    scene = bpy.context.scene.collection
+    members = set((scene if collection is None else _find_collection(scene, collection)).all_objects)
+    candidates = [item for item in members if may_have_surface(item)]
+    if collection is not None and not candidates:
+        raise GeometryError(f'No object in the collection "{collection}" has a surface; name another one after --collection.')
+    objects = scene_files.objects_in_renders(path, lambda item: item in members and may_have_surface(item))
+    job = prepare_job(bpy.context, objects, settings, options, collection or (path.stem if path is not None else ""))
     job.skipped.extend(scene_files.describe_missing())
-    job.skipped.extend(f"{item.name} (disabled in renders)" for item in candidates if item.hide_render)
+    job.skipped.extend(sorted(f"{item.name} (disabled in renders)" for item in candidates if item.hide_render))
     return job
+
+
+def _find_collection(scene: bpy.types.Collection, name: str) -> bpy.types.Collection:
+    """Return the collection called `name` within that of the scene. Raises GeometryError if there is none."""
+    found = {item.name: item for item in scene.children_recursive}
+    if name not in found:
+        listed = f"it has {', '.join(found)}" if found else "it has none"
+        raise GeometryError(f'The scene has no collection "{name}"; {listed}. Correct --collection.')
+    return found[name]
 
 
 def write_output(out: Path, job: BillboardJob) -> list[str]:
@@ -123,6 +145,11 @@ def build_report(job: BillboardJob, clock: StageClock) -> dict[str, Any]:
         build_level_report([cloud.levels[index] for cloud in clouds], [objects[index] for objects in level_objects])
         for index in range(len(level_objects[0]))
     ]
+    for index, level in enumerate(levels):
+        found = next((item for item in job.comparisons[0] if item.level == index), None) if len(clouds) == 1 else None
+        differences = (None, None) if found is None else (found.cloud.visible, None if found.decimate is None else found.decimate.visible)
+        for key, value in zip(("visible_difference", "decimate_visible_difference"), differences, strict=True):
+            level[key] = None if value is None else round(value, 4)
     seconds = dict(clock.seconds)
     for stages in (*(cloud.seconds for cloud in clouds), job.seconds):
         for stage, duration in stages.items():
@@ -130,9 +157,7 @@ def build_report(job: BillboardJob, clock: StageClock) -> dict[str, Any]:
     return {
         "source_triangles": sum(cloud.source_triangles for cloud in clouds),
         "dropped_triangles": sum(cloud.dropped_triangles for cloud in clouds),
-        "quads": levels[0]["quads"],
-        "triangles": levels[0]["triangles"],
-        "texels": levels[0]["texels"],
+        **{key: levels[0][key] for key in ("triangles", "mesh_triangles", "quads", "texels")},
         "levels": levels,
         "max_plane_distance": max(cloud.max_plane_distance for cloud in clouds),
         "faces_beyond_normal_bound": sum(cloud.faces_beyond_normal_bound for cloud in clouds),
@@ -149,9 +174,9 @@ def build_level_report(levels: list[Level], objects: list[bpy.types.Object]) -> 
     distance = max(item["farfield_switch_distance"] for item in objects)
     return {
         "error": max(level.error for level in levels),
-        "quads": sum(len(level.quads) for level in levels),
         "triangles": sum(level.triangle_count for level in levels),
         "mesh_triangles": sum(level.chart_triangle_count for level in levels),
+        "quads": sum(len(level.quads) for level in levels),
         "texels": sum(level.texel_count for level in levels),
         "atlas_use": round(sum(level.texel_count for level in levels) / sum(math.prod(level.atlas.size) for level in levels), 4),
         "switch_distance": distance if math.isfinite(distance) else None,

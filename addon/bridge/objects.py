@@ -70,3 +70,9 @@ def _add_driver(item: bpy.types.Object, name: str, index: int) -> bpy.types.Driv
     driver = item.driver_add(f'["{name}"]', index).driver
     driver.type = "SCRIPTED"
     return driver
+
+
+def instances_lights(objects: Sequence[bpy.types.Object]) -> bool:
+    """Return whether any of `objects` is an instance of a collection with lights, which would light everything near it."""
+    collections = [item.instance_collection for item in objects if item.instance_collection is not None]
+    return any(item.type == "LIGHT" for collection in collections for item in collection.all_objects)

@@ -5,6 +5,7 @@ import math
 import bpy
 
 from ..bridge import cameras
+from ..bridge.billboards.clouds import MESH_TRIANGLES
 from ..bridge.billboards.scene_clouds import SceneCloud, find_cloud
 from ..core.billboards.settings import BillboardSettings, BuildOptions, CrossfadeSettings
 from ..core.geometry.cameras import Camera
@@ -19,6 +20,7 @@ from ..operators.billboards.operators import (
     FARFIELD_OT_billboards_show_level,
     disabled_reason,
 )
+from ..operators.billboards.sources import describe_selection
 from .sidebar import (
     SettingsPanel,
     SidebarPanel,
@@ -32,8 +34,8 @@ from .sidebar import (
 )
 
 PANEL = "FARFIELD_PT_billboards"
-ESTIMATE_TITLES = ("Estimate", "Quads", "Tris", "Texels", "MB")
-LEVEL_TITLES = ("Level", "Quads", "Tris", "Texels", "MB", "Distance")
+ESTIMATE_TITLES = ("Estimate", "Tris", "in Mesh", "Quads", "MB")
+LEVEL_TITLES = ("Level", "Tris", "in Mesh", "Quads", "MB", "Distance")
 
 
 class BillboardSettingsPanel(SettingsPanel):
@@ -56,7 +58,11 @@ class FARFIELD_PT_billboards(BillboardSettingsPanel, ToolPanel, bpy.types.Panel)
         if draw_progress_bar(self.layout, reason):
             return
         if not reason:
-            draw_estimate(self.layout, context, context.scene.farfield_billboards)
+            group = context.scene.farfield_billboards
+            selection = describe_selection(context, group.combine_selected)
+            if selection:
+                draw_message(self.layout, selection, "OUTLINER_COLLECTION" if group.combine_selected else "OBJECT_DATA")
+            draw_estimate(self.layout, context, group)
         draw_button(self.layout, FARFIELD_OT_billboards_build, "Build", "MESH_GRID")
 
 
@@ -110,7 +116,7 @@ def draw_estimate(layout: bpy.types.UILayout, context: bpy.types.Context, group:
         draw_message(layout, result.error_message, "ERROR")
     elif result is not None:
         rows = [
-            (str(index), f"{level.quads:,}", f"{level.triangles:,}", f"{level.texels:,}", format_megabytes(level.bytes))
+            (str(index), f"{level.triangles:,}", f"{level.mesh_triangles:,}", f"{level.quads:,}", format_megabytes(level.bytes))
             for index, level in enumerate(result.levels)
         ]
         draw_table(layout, ESTIMATE_TITLES, rows)
@@ -122,14 +128,15 @@ def draw_estimate(layout: bpy.types.UILayout, context: bpy.types.Context, group:
 
 
 def draw_levels(layout: bpy.types.UILayout, cloud: SceneCloud, camera: Camera | None) -> None:
-    """Draw quads, triangles, texels and memory of each level of a cloud, its switch distance for `camera`, and the notes."""
+    """Draw triangles, those in decimated meshes, quads and memory of each level of a cloud, its switch distance for `camera`, and notes."""
     layout.label(text=cloud.collection.name, icon="OUTLINER_COLLECTION")
     rows = []
     for index, level in enumerate(cloud.levels):
         distance = "-" if camera is None else format_distance(camera.switch_distance(level["farfield_error"]))
         triangles = len(level.data.loops) - 2 * len(level.data.polygons)  # A polygon of C corners has C - 2.
-        counts = level["farfield_quads"], triangles, level["farfield_texels"]
-        figures = *(f"{count:,}" for count in counts), format_megabytes(cloud.texture_bytes(index))
+        in_meshes = level.get(MESH_TRIANGLES)
+        counts = f"{triangles:,}", "-" if in_meshes is None else f"{in_meshes:,}", f"{level['farfield_quads']:,}"
+        figures = *counts, format_megabytes(cloud.texture_bytes(index))
         rows.append((str(index), *figures, distance))
     draw_table(layout, LEVEL_TITLES, rows)
     for note in cloud.notes:

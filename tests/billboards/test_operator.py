@@ -419,9 +419,19 @@ class TestPanel:
         cube()
         build(nested_levels=False)
         texts, _ = self.draw()
-        assert {"12", "Tris"} <= texts
+        assert {"12", "6", "Tris", "in Mesh", "Quads"} <= texts
         shown = " ".join(text for text in texts if text)
         assert "with an error of 10% is" in shown and 'The cloud of "Cube" has 12' in shown
+
+    def test_triangles_of_decimated_meshes_are_shown(self):
+        bpy.ops.mesh.primitive_uv_sphere_add(segments=48, ring_count=24)
+        build(error=1.0, levels=1, nested_levels=False)
+        (level,) = levels().values()
+        count = level["farfield_mesh_triangles"]
+        faces = len(level.data.polygons) if count else 0
+        assert 0 < count <= faces and {f"{count:,}", "in Mesh"} <= self.draw()[0]
+        del level["farfield_mesh_triangles"]  # As in files of former versions.
+        assert "-" in self.draw()[0]
 
     def test_buttons_follow_the_state(self):
         texts, _ = self.draw()

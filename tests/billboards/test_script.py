@@ -25,8 +25,9 @@ SCRIPT = environment.ROOT / "scripts" / "billboards.py"
 REPORT_KEYS = {
     "source_triangles",
     "dropped_triangles",
-    "quads",
     "triangles",
+    "mesh_triangles",
+    "quads",
     "texels",
     "levels",
     "max_plane_distance",
@@ -82,8 +83,19 @@ def test_blend_output_with_report_and_invalid_input(cube):
     assert report["notes"] == ['The cloud of "würfel 立方体" has 12 triangles, its source 12: no error would make it lighter.']
     assert report["max_plane_distance"] <= 1.0
     assert [set(level) for level in report["levels"]] == [
-        {"error", "quads", "triangles", "mesh_triangles", "texels", "atlas_use", "switch_distance"}
+        {
+            "error",
+            "triangles",
+            "mesh_triangles",
+            "quads",
+            "texels",
+            "atlas_use",
+            "switch_distance",
+            "visible_difference",
+            "decimate_visible_difference",
+        }
     ] * 2
+    assert all(level["visible_difference"] is None for level in report["levels"]), "the levels are as heavy as the source"
     assert report["levels"][0]["error"] == pytest.approx(0.2) and report["levels"][1]["error"] == pytest.approx(0.4)
     assert {"read", "capture", "objects", "write"} <= set(report["seconds"]) and report["peak_memory_mb"] > 10
 

@@ -10,9 +10,12 @@ pytest.importorskip("bpy")
 import bpy
 
 from bridge import blender_scenes
+from bridge.instance_scenes import scatter
+from farfield.addon.bridge.geometry.joined_meshes import read_joined_mesh
 from farfield.addon.bridge.geometry.meshes import concatenate_in_world_space, read_instances, read_point_cloud, read_source
 from farfield.addon.core.errors import GeometryError
 from farfield.addon.core.geometry.mesh import face_areas_and_normals, fingerprint
+from lib.studio import open_studio
 
 
 @pytest.fixture(autouse=True)
@@ -88,6 +91,70 @@ def test_instances_belong_to_the_object_that_makes_them():
     source = blender_scenes.read_objects(tree)
     assert [instance.name for instance in source.instances] == ["Tree"]
     assert source.mesh.vertices[:, 2] == pytest.approx([4.0] * 4)
+
+
+@pytest.mark.parametrize("kind", ["text", "curve", "metaball"])
+def test_converted_surfaces_are_read_once(kind):
+    """Blender shows them as an instance of a mesh, in addition to the object; also within an instance of a collection, and in Edit Mode."""
+    if kind == "text":
+        bpy.ops.object.text_add()
+    elif kind == "curve":
+        bpy.ops.curve.primitive_bezier_circle_add()
+        bpy.context.object.data.dimensions, bpy.context.object.data.fill_mode = "2D", "BOTH"
+    else:
+        bpy.ops.object.metaball_add()
+    item = bpy.context.object
+    item.location, item.scale = (1.0, 2.0, 3.0), (2.0, 1.0, 0.5)
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    mesh = item.evaluated_get(depsgraph).to_mesh()
+    mesh.calc_loop_triangles()
+    count = len(mesh.loop_triangles)
+    item.evaluated_get(depsgraph).to_mesh_clear()
+    (instance,) = blender_scenes.read_objects(item).instances
+    assert (instance.name, instance.part, len(instance.mesh.triangles)) == (item.name, "", count)
+    assert read_joined_mesh(item, depsgraph)[0].vertices == pytest.approx(instance.mesh.vertices)
+    bpy.ops.object.mode_set(mode="EDIT")
+    assert len(blender_scenes.read_objects(item).mesh.triangles) == count
+    bpy.ops.object.mode_set(mode="OBJECT")
+    if kind == "metaball":  # Blender melts metaballs of a collection together with those outside.
+        return
+    collection = bpy.data.collections.new("Collection")
+    collection.objects.link(item)
+    owner = bpy.data.objects.new("Owner", None)
+    owner.instance_type, owner.instance_collection = "COLLECTION", collection
+    bpy.context.scene.collection.objects.link(owner)
+    bpy.context.view_layer.update()
+    assert [(part.name, part.part) for part in blender_scenes.read_objects(owner).instances] == [("Owner", item.name)]
+
+
+def test_object_materials_of_a_text_are_read():
+    bpy.ops.object.text_add()
+    text = bpy.context.object
+    text.data.materials.append(blender_scenes.create_material("Of Data"))
+    text.material_slots[0].link = "OBJECT"
+    text.material_slots[0].material = blender_scenes.create_material("Of Object")
+    (instance,) = blender_scenes.read_objects(text).instances
+    assert instance.mesh.materials == (("Of Object", None),)
+
+
+def test_random_numbers_are_those_that_cycles_shows():
+    material = blender_scenes.create_material("Random")
+    nodes = material.node_tree.nodes
+    info, emission = nodes.new("ShaderNodeObjectInfo"), nodes.new("ShaderNodeEmission")
+    blender_scenes.link(material, info.outputs["Random"], emission.inputs["Color"])
+    blender_scenes.link(material, emission.outputs[0], nodes["Material Output"].inputs["Surface"])
+    cards = [blender_scenes.card(name, material) for name in ("Card", "Card.001", "Häuser 家")]
+    for index, card in enumerate(cards):
+        card.location.x = 4.0 * index
+    row = scatter("Row", cards[0])
+    row.location.y = 4.0
+    bpy.context.view_layer.update()
+    source = blender_scenes.read_objects(*cards, row)
+    assert len(source.instances) == 7 and all(0.0 <= item.random <= 1.0 for item in source.instances)
+    with open_studio([*cards, row], 1) as studio:
+        for item in source.instances:
+            image = studio.render([*cards, row], np.array([0.0, 0.0, 1.0]) + [0.0, -1e-4, 0.0], item.matrix[:3, 3], 0.1, 9)
+            assert image[4, 4, 0] == pytest.approx(item.random, abs=1e-4)
 
 
 def test_objects_without_faces_are_skipped_with_the_reason():

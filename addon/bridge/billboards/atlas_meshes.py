@@ -6,6 +6,7 @@ normal lie along x, y and z. Lengths, and thus the heights of bumps, are the sam
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache, partial
 from typing import TypeVar
 
 import bpy
@@ -22,6 +23,7 @@ from ..rendering.render_scene import RenderScene
 from ..shading.material_channels import CELL_COORDINATES
 from ..shading.scene_space_nodes import (
     GENERATED,
+    INSTANCER_VALUE,
     ISLAND,
     LOCATION,
     OBJECT,
@@ -32,6 +34,7 @@ from ..shading.scene_space_nodes import (
     RANDOM,
     read_object_value,
     required_attributes,
+    to_rgba,
 )
 
 Copy = TypeVar("Copy")
@@ -242,17 +245,27 @@ def _scene_space_attributes(
     for index, name in enumerate(OBJECT_AXES):
         compute[name] = lambda index=index: _to_corners(object_axes[drawn.instances, :, index])
     for name in required:
-        if name.startswith(OBJECT_VALUE):
-            compute[name] = lambda name=name: _to_corners(_object_values(drawn.sources, name.removeprefix(OBJECT_VALUE))[drawn.instances])
+        for prefix in (OBJECT_VALUE, INSTANCER_VALUE):
+            if name.startswith(prefix):
+                compute[name] = lambda name=name, prefix=prefix: _to_corners(_read_values(drawn.sources, prefix, name)[drawn.instances])
     return {name: function() for name, function in compute.items() if name in required}
 
 
-def _object_values(instances: Sequence[SourceInstance], name: str) -> np.ndarray:
-    """Return what materials read as `name` of the object of each of the P `instances`, (P, 4); 0 for objects that were removed."""
+def _read_values(instances: Sequence[SourceInstance], prefix: str, name: str) -> np.ndarray:
+    """Return what materials read of each of the P `instances` as `name`, which begins with OBJECT_VALUE or INSTANCER_VALUE as `prefix`:
+    (P, 4). It is 0 for objects that were removed."""
     by_uid = {item.session_uid: item for item in bpy.data.objects}
-    objects = [bpy.data.objects.get(instance.part) if instance.part else by_uid.get(instance.object_uid) for instance in instances]
-    values = {item: (0.0,) * 4 if item is None else read_object_value(item, name) for item in dict.fromkeys(objects)}
-    return np.array([values[item] for item in objects])
+    name, is_of_instancer = name.removeprefix(prefix), prefix == INSTANCER_VALUE
+    read_items = cache(partial(read_object_value, name=name))
+    values = []
+    for instance in instances:
+        owner, part = by_uid.get(instance.object_uid), bpy.data.objects.get(instance.part) if instance.part else None
+        if is_of_instancer and name in instance.attributes:
+            values.append(to_rgba(instance.attributes[name]))
+        else:
+            items = (owner, part) if is_of_instancer else (part if instance.part else owner,)
+            values.append(read_items(tuple(item for item in items if item is not None)))
+    return np.array(values)
 
 
 def _to_corners(values: np.ndarray) -> np.ndarray:

@@ -1,6 +1,7 @@
 """A billboard cloud as Blender objects: a collection with one mesh of textured quads per level."""
 
 import math
+from collections.abc import Sequence
 
 import bpy
 import numpy as np
@@ -19,6 +20,7 @@ from .level_objects import CENTER, QUAD_ATTRIBUTE
 
 CLOUD = "cloud"  # the KIND of levels
 FINGERPRINT = "farfield_source_fingerprint"  # Custom property of a cloud's collection, see `Source.fingerprint`.
+MESH_TRIANGLES = "farfield_mesh_triangles"  # Custom property of a level: triangles in decimated meshes; older levels lack it.
 NOTES = "farfield_notes"  # Custom property of a cloud's collection: sentences about its levels, see `Cloud.notes`.
 CORNER_NORMALS = "custom_normal"  # Blender's built-in attribute of custom normals.
 DRAWN_OFFSETS, DRAWN = "farfield_drawn_offsets", "farfield_drawn"  # Custom properties of a level's mesh, see `cloud.Quads`.
@@ -28,15 +30,24 @@ DEFAULT_CAMERA = Camera(np.zeros(3), 1920, math.radians(39.6))  # Blender's defa
 def create_cloud(
     cloud: Cloud, textures: list[LevelTextures] | None, source: Source, collection_parent: bpy.types.Collection
 ) -> bpy.types.Collection:
-    """Create a collection "<name> Cloud" in `collection_parent` with one object per level, finest first; only that one is visible.
+    """Create the collection of a cloud in `collection_parent`, see `build_collection`."""
+    collection = build_collection(cloud, textures, source, collection_parent)
+    collection_parent.children.link(collection)
+    return collection
+
+
+def build_collection(
+    cloud: Cloud, textures: list[LevelTextures] | None, source: Source, future_parent: bpy.types.Collection
+) -> bpy.types.Collection:
+    """Return a new collection "<name> Cloud" with one object per level, finest first; only that one is visible. It is in no scene.
 
     The objects are located at the source's origin, without rotation or scale. Their custom properties are farfield_kind ("cloud"),
-    farfield_level, farfield_error (a length), farfield_switch_distance (for the active camera of the first scene that contains the parent,
-    otherwise for Blender's default camera; inf for an orthographic camera that shows the error), farfield_quads, farfield_texels,
-    farfield_atlas, farfield_center and farfield_texture_bytes. Without `textures` the material is gray.
+    farfield_level, farfield_error (a length), farfield_switch_distance (for the active camera of the first scene that contains the
+    `future_parent`, otherwise for Blender's default camera; inf for an orthographic camera that shows the error), farfield_mesh_triangles,
+    farfield_quads, farfield_texels, farfield_atlas, farfield_center and farfield_texture_bytes. Without `textures` the material is gray.
     """
     collection = bpy.data.collections.new(f"{source.name} Cloud")
-    camera = _find_camera(collection_parent)
+    camera = _find_camera(future_parent)
     for index, level in enumerate(cloud.levels):
         name = f"{collection.name} L{index}"
         level_object = create_level_object(name, level, None if textures is None else textures[index], source.origin)
@@ -47,9 +58,7 @@ def create_cloud(
         level_object.hide_viewport = level_object.hide_render = index > 0
         collection.objects.link(level_object)
     collection[FINGERPRINT] = source.fingerprint
-    if cloud.notes:
-        collection[NOTES] = "\n".join(cloud.notes)
-    collection_parent.children.link(collection)
+    write_notes(collection, cloud.notes)
     return collection
 
 
@@ -60,6 +69,24 @@ def create_level_object(name: str, level: Level, textures: LevelTextures | None,
     level_object.location = origin
     level_object.data.materials.append(material)
     return level_object
+
+
+def write_notes(collection: bpy.types.Collection, notes: Sequence[str]) -> None:
+    """Store sentences about a cloud for its panel."""
+    if notes:
+        collection[NOTES] = "\n".join(notes)
+
+
+def discard_collection(collection: bpy.types.Collection) -> None:
+    """Remove a collection that is in no scene, with its levels and their meshes, materials and images, and node groups that nothing else
+    uses."""
+    meshes = [level.data for level in collection.objects]
+    materials = [material for mesh in meshes for material in mesh.materials]
+    nodes = [node for material in materials if material.node_tree is not None for node in material.node_tree.nodes]
+    images = {node.image for node in nodes if node.type == "TEX_IMAGE" and node.image is not None}
+    groups = {node.node_tree for node in nodes if node.type == "GROUP"}
+    bpy.data.batch_remove([*collection.objects, collection, *meshes, *materials, *images])
+    bpy.data.batch_remove([group for group in groups if group.users == 0])
 
 
 def read_drawn_primitives(mesh: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray]:
@@ -82,6 +109,7 @@ def _write_properties(level_object: bpy.types.Object, index: int, level: Level, 
     level_object["farfield_level"] = index
     level_object["farfield_error"] = float(level.error)
     level_object["farfield_switch_distance"] = float(camera.switch_distance(level.error))
+    level_object[MESH_TRIANGLES] = level.chart_triangle_count
     level_object["farfield_quads"] = len(level.quads)
     level_object["farfield_texels"] = level.texel_count
     level_object["farfield_atlas"] = list(level.atlas.size)

@@ -42,7 +42,7 @@ class SceneCloud(LodSet):
 
     @property
     def notes(self) -> list[str]:
-        """Sentences about levels that were left out, and about a cloud that is no lighter than its source."""
+        """Sentences about the cloud, see `Cloud.notes`."""
         return str(self.collection.get(clouds.NOTES, "")).splitlines()
 
     @property

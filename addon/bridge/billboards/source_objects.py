@@ -4,6 +4,7 @@ Proxies are the same evaluated meshes with copies of their materials, since a cr
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import bpy
 import mathutils
@@ -12,8 +13,9 @@ import numpy as np
 from ...core.errors import FarfieldError, GeometryError
 from ...core.geometry.transforms import is_mirroring
 from ..geometry import meshes
+from ..geometry.instance_attributes import InstanceAttributes
 from ..geometry.joined_meshes import find_frame
-from ..objects import temporarily_visible
+from ..objects import temporarily_visible, world_matrix
 from ..rendering.render_properties import copy_render_properties
 from .cloud_materials import create_gray_material
 from .clouds import KIND
@@ -36,9 +38,49 @@ def read_source_objects(context: bpy.types.Context, sources: Sequence[bpy.types.
         try:
             if len(sources) == 1 and isinstance(first, bpy.types.Mesh) and len(first.vertices) and not len(first.polygons):
                 return meshes.read_point_cloud(sources[0])
-            return meshes.read_source(list(sources), depsgraph)
+            return read_combined(list(sources), depsgraph)
         except FarfieldError as error:
             raise GeometryError(f"The original of the cloud cannot be read: {error}") from error
+
+
+def read_combined(objects: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> meshes.Source:
+    """Read `objects` as one source, see `read_source`.
+
+    Several objects have the name and the origin of their nearest common parent, which may be one of them. Without one they have the origin
+    of the first object, and the name of the smallest collection of which they are all that can be seen, otherwise that of the first.
+    """
+    source = meshes.read_source(objects, depsgraph)
+    read = {instance.object_uid for instance in source.instances}
+    items = [item for item in objects if item.session_uid in read]
+    if len(items) < 2:
+        return source
+    parent = _find_common_parent(items)
+    if parent is not None:
+        return replace(source, name=parent.name, origin=np.array(world_matrix(parent).translation, np.float64))
+    return replace(source, name=_find_collection_name(items) or source.name)
+
+
+def _find_common_parent(items: Sequence[bpy.types.Object]) -> bpy.types.Object | None:
+    """Return the nearest object that each of `items` is or has as a parent, also over several generations."""
+    chains = []
+    for item in items:
+        chain = [item]
+        while chain[-1].parent is not None:
+            chain.append(chain[-1].parent)
+        chains.append(chain)
+    shared = set(chains[0]).intersection(*chains[1:])
+    return next((item for item in chains[0] if item in shared), None)
+
+
+def _find_collection_name(items: Sequence[bpy.types.Object]) -> str:
+    """Return the name of the smallest collection whose visible objects with a surface are `items`, "" if there is none."""
+    wanted = set(items)
+    names = {}
+    for collection in bpy.data.collections:
+        members = set(collection.all_objects)
+        if wanted <= members and not any(meshes.may_have_surface(item) and item.visible_get() for item in members - wanted):
+            names[len(members)] = names.get(len(members), collection.name)
+    return names[min(names)] if names else ""
 
 
 def add_source_proxies(sources: Sequence[bpy.types.Object], collection: bpy.types.Collection, depsgraph: bpy.types.Depsgraph) -> None:
@@ -49,6 +91,7 @@ def add_source_proxies(sources: Sequence[bpy.types.Object], collection: bpy.type
     wanted = {item.name_full for item in sources}
     copied_meshes: dict[tuple[int, bytes], bpy.types.Mesh] = {}
     copies: dict[bpy.types.Material | None, bpy.types.Material] = {}
+    instance_attributes = InstanceAttributes()
     for owner, instance in meshes.visible_meshes(wanted, depsgraph):
         evaluated, matrix = instance.object, np.array(instance.matrix_world, np.float64)
         frame = find_frame(matrix)
@@ -60,6 +103,9 @@ def add_source_proxies(sources: Sequence[bpy.types.Object], collection: bpy.type
             copied_meshes[key] = _copy_mesh(evaluated, f"{collection.name} {evaluated.name}", depsgraph, copies)
             _transform_mesh(copied_meshes[key], within)
         proxy = bpy.data.objects.new(copied_meshes[key].name, copied_meshes[key])
+        if instance.is_instance:  # Shaders read a custom property where an object is not an instance.
+            for name, values in instance_attributes.find(instance.parent, instance.persistent_id).items():
+                proxy[name] = values
         copy_render_properties(owner, proxy)
         proxy[KIND] = SOURCE_PROXY
         proxy.matrix_world = mathutils.Matrix(frame.tolist())

@@ -1,7 +1,7 @@
 """Read evaluated objects and point clouds from Blender as one source in world space."""
 
-from collections.abc import Container, Iterator
-from dataclasses import dataclass
+from collections.abc import Container, Iterator, Mapping
+from dataclasses import dataclass, field
 
 import bpy
 import numpy as np
@@ -12,6 +12,8 @@ from ...core.geometry.points import estimate_normals, splat_radii
 from ...core.geometry.transforms import frames_from_normals, is_invertible, is_mirroring, normalize, transform_points
 from ...core.messages import format_count
 from .evaluated_mesh import EvaluatedMesh, MaterialKey, MeshAttribute, read_evaluated_mesh
+from .instance_attributes import NO_NUMBER, InstanceAttributes
+from .object_random import compute_object_random, read_random_id
 
 SURFACE_TYPES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
 NORMAL_ATTRIBUTES = ("normal", "Normal", "normals", "N")  # A point cloud's normals: the first one found counts.
@@ -30,6 +32,7 @@ class SourceInstance:
         random: the value of Object Info > Random, 0..1.
         object_uid: session UID of the selected object, which stays when it is renamed.
         part: the name of the object that is instanced, "" for the selected object itself.
+        attributes: those that Geometry Nodes give to the instance, by name; one to four numbers each.
     """
 
     name: str
@@ -39,6 +42,7 @@ class SourceInstance:
     random: float = 0.0
     object_uid: int = 0
     part: str = ""
+    attributes: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     @property
     def is_mirrored(self) -> bool:
@@ -196,11 +200,12 @@ def visible_meshes(
 ) -> Iterator[tuple[bpy.types.Object, bpy.types.DepsgraphObjectInstance]]:
     """Yield the visible surfaces of the objects with names (`name_full`) in `owners`: themselves or their instances.
 
-    Yields the original of the owner, and the instance, which is valid only until the next one is requested.
+    Yields the original of the owner, and the instance, which is valid only until the next one is requested. Curves, texts and metaballs
+    show their surface as an instance of a mesh.
     """
     for instance in depsgraph.object_instances:
         owner = (instance.parent if instance.is_instance else instance.object).original
-        if owner.name_full in owners and instance.object.type in SURFACE_TYPES and (instance.is_instance or instance.show_self):
+        if owner.name_full in owners and instance.object.type == "MESH" and (instance.is_instance or instance.show_self):
             yield owner, instance
 
 
@@ -247,20 +252,28 @@ def _flush_edit_mode(objects: list[bpy.types.Object], depsgraph: bpy.types.Depsg
 def read_instances(objects: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> list[SourceInstance]:
     """Read the evaluated surfaces of `objects` and of their instances, grouped by object in the order of `objects`."""
     meshes: dict[int, EvaluatedMesh] = {}
-    found_by_owner = {candidate.name_full: [] for candidate in objects}
+    found_by_owner, instance_attributes = {candidate.name_full: [] for candidate in objects}, InstanceAttributes()
     for owner, instance in visible_meshes(found_by_owner, depsgraph):
         key = instance.object.data.as_pointer() if instance.is_instance else instance.object.as_pointer()
         if key not in meshes:
             meshes[key] = _read_mesh(instance.object, depsgraph)
         if len(meshes[key].triangles):
             matrix = np.array(instance.matrix_world, np.float64)
-            part = instance.object.name if instance.is_instance else ""
-            found_by_owner[owner.name_full].append((owner, meshes[key], matrix, instance.random_id / 0xFFFFFFFF, part))
+            part = "" if _is_own_surface(owner, instance) else instance.object.name
+            values = instance_attributes.find(instance.parent, instance.persistent_id) if instance.is_instance else {}
+            random = read_random_id(instance.random_id) if instance.is_instance else compute_object_random(owner.name)
+            found_by_owner[owner.name_full].append((owner, meshes[key], matrix, random, part, values))
     instances, first_primitive = [], 0
-    for owner, mesh, matrix, random, part in (item for items in found_by_owner.values() for item in items):
-        instances.append(SourceInstance(owner.name, mesh, matrix, first_primitive, random, owner.session_uid, part))
+    for owner, mesh, matrix, random, part, values in (item for items in found_by_owner.values() for item in items):
+        instances.append(SourceInstance(owner.name, mesh, matrix, first_primitive, random, owner.session_uid, part, values))
         first_primitive += len(mesh.triangles)
     return instances
+
+
+def _is_own_surface(owner: bpy.types.Object, instance: bpy.types.DepsgraphObjectInstance) -> bool:
+    """Return whether an instance is the surface of its owner itself: curves, texts and metaballs have a mesh as an instance."""
+    is_converted = owner.type != "MESH" and instance.object.original == owner and instance.persistent_id[1] == NO_NUMBER
+    return not instance.is_instance or is_converted
 
 
 def _read_mesh(evaluated: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> EvaluatedMesh:

@@ -61,8 +61,6 @@ def _find_losses(material: bpy.types.Material, shared: Container[str]) -> Iterat
             yield SHADERS[node.type]
         if node.type == "TEX_IMAGE" and node.projection != "FLAT":
             yield f"{node.projection.lower()} projection"
-        if node.type == "ATTRIBUTE" and node.attribute_type == "INSTANCER":
-            yield f'attribute "{node.attribute_name}" of instances'
         if node.type == PRINCIPLED:
             yield from (label for name, label in WEIGHTS.items() if _is_set(node, name))
             if _is_set(node, "Coat Weight"):

@@ -3,10 +3,10 @@
 While a quad is captured, its faces are placed in a rectangle of the atlas. The meshes there store the scene-space inputs as attributes. In
 the copies of the materials, nodes that would read the position, normal or object in the atlas are replaced by these attributes. Not
 supported: View and camera coordinates, reflections, Vector Transform nodes, box-projected images, Tangent and Pointiness of the Geometry
-node, ambient occlusion and bevels (which would see the faces of one quad only), and attributes of instances made by Geometry Nodes.
+node, ambient occlusion and bevels (which would see the faces of one quad only).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import bpy
 import numpy as np
@@ -20,6 +20,8 @@ QUAD_AXES = ("farfield_u", "farfield_v", "farfield_n")
 OBJECT_AXES = ("farfield_x", "farfield_y", "farfield_z")
 OBJECT_INFO = (("Color", "color", "Color"), ("Alpha", "color", "Alpha"), ("Object Index", "pass_index", "Fac"))
 OBJECT_VALUE = "farfield_object "  # Followed by what a material reads of its object, see `read_object_value`.
+INSTANCER_VALUE = "farfield_instancer "  # The same of an instance, of what makes it and then of its object.
+Rgba = tuple[float, float, float, float]
 GENERATED_BY_DEFAULT = {  # nodes whose unlinked Vector input means Generated coordinates
     "ShaderNodeTexNoise",
     "ShaderNodeTexVoronoi",
@@ -55,25 +57,51 @@ def replace_scene_space_nodes(tree: bpy.types.NodeTree) -> None:
             for output, name, value in OBJECT_INFO:
                 _relink(builder, node.outputs[output], lambda name=name, value=value: _object_value(builder, name).outputs[value])
         elif node.bl_idname == "ShaderNodeAttribute" and node.attribute_type in {"OBJECT", "INSTANCER"}:
-            node.attribute_type, node.attribute_name = "GEOMETRY", OBJECT_VALUE + node.attribute_name
+            prefix = OBJECT_VALUE if node.attribute_type == "OBJECT" else INSTANCER_VALUE
+            node.attribute_type, node.attribute_name = "GEOMETRY", prefix + node.attribute_name
         elif node.bl_idname in GENERATED_BY_DEFAULT and not node.inputs["Vector"].is_linked:
             tree.links.new(builder.attribute(GENERATED), node.inputs["Vector"])
 
 
-def read_object_value(item: bpy.types.Object, name: str) -> tuple[float, float, float, float]:
+def read_object_value(items: Sequence[bpy.types.Object], name: str) -> Rgba:
     """Return what an Attribute node of the type Object reads as `name`: a custom property of an object or of its data, or a built-in one
-    such as "color"; 0 if there is none."""
-    for owner in (item, item.data):
+    such as "color"; that of the first of `items` that has one, 0 if none has."""
+    for owner in (owner for item in items for owner in (item, item.data)):
         try:
             value = owner[name] if owner is not None and name in owner else owner.path_resolve(name)
             values = [float(component) for component in ([value] if isinstance(value, int | float) else value)]
         except (AttributeError, KeyError, TypeError, ValueError):
             continue
-        if len(values) == 1:
-            return (values[0], values[0], values[0], 1.0)
-        if 2 <= len(values) <= 4:
-            return tuple([*values, 0.0][:3] + [values[3] if len(values) == 4 else 1.0])
+        if 1 <= len(values) <= 4:
+            return to_rgba(values)
     return (0.0, 0.0, 0.0, 0.0)
+
+
+def to_rgba(values: Sequence[float]) -> Rgba:
+    """Return the color and alpha as which shaders read an attribute of one to four numbers."""
+    if len(values) == 1:
+        return (values[0], values[0], values[0], 1.0)
+    return tuple([*values, 0.0][:3] + [values[3] if len(values) == 4 else 1.0])
+
+
+def reads_object(tree: bpy.types.NodeTree, is_one_of_several: bool) -> bool:
+    """Return whether `tree` and the node groups inside it read anything that one mesh of all objects of a source would not have.
+
+    is_one_of_several: whether the source has several objects or instances, so that it also lacks their coordinates and properties.
+    """
+    for node in nodes_in(tree):
+        linked = {output.name for output in node.outputs if output.is_linked}
+        if node.bl_idname == "ShaderNodeObjectInfo" and (is_one_of_several or "Random" in linked):
+            return True
+        if not is_one_of_several:
+            continue
+        if node.bl_idname == "ShaderNodeAttribute" and node.attribute_type in {"OBJECT", "INSTANCER"}:
+            return True
+        if node.bl_idname == "ShaderNodeTexCoord" and linked & {"Generated", "Object"}:
+            return True
+        if node.bl_idname in GENERATED_BY_DEFAULT and not node.inputs["Vector"].is_linked:
+            return True
+    return False
 
 
 def required_attributes(tree: bpy.types.NodeTree) -> set[str]:

@@ -154,8 +154,8 @@ class Cloud:
         faces_beyond_normal_bound: Number of faces of the finest level beyond the normal bound of their owner.
         uncovered_faces: Number of faces that no quad shows.
         seconds: Run time per stage.
-        notes: Sentences about levels that were left out, about a cloud that is no lighter than its source, and about what it leaves out of
-            materials.
+        notes: Sentences about decimated meshes of as many triangles, about levels that were left out, about a cloud that is no lighter than
+            its source, and about what it leaves out of materials.
     """
 
     levels: list[Level]

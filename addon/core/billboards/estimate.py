@@ -81,15 +81,17 @@ class LevelEstimate:
 
     Attributes:
         error: A length in scene units.
-        quads: Number of quads.
-        triangles: Number of triangles of the polygons that they are cut to.
+        triangles: Number of triangles of the polygons that quads are cut to, and of decimated meshes.
+        mesh_triangles: Number of those in decimated meshes of solid parts.
+        quads: Number of quads, including one per chart of a decimated mesh.
         texels: Number of texels inside the quads.
         bytes: Size of all textures.
     """
 
     error: float
-    quads: int
     triangles: int
+    mesh_triangles: int
+    quads: int
     texels: int
     bytes: int
 
@@ -168,7 +170,7 @@ def estimate_level(sample: SurfaceSample, settings: BillboardSettings, relative_
     quads = min(max(round(calibration.quads_per_cluster * clusters), 1), sample.face_count)
     texels = max(round(calibration.area_factor * waste * sample.total_area / (error * settings.texel_size) ** 2), quads)
     triangles = round(calibration.triangles_per_quad * quads)
-    return LevelEstimate(error, quads, triangles, texels, texels * BYTES_PER_TEXEL if settings.textures else 0)
+    return LevelEstimate(error, triangles, 0, quads, texels, texels * BYTES_PER_TEXEL if settings.textures else 0)
 
 
 def _estimate_clusters(sample: SurfaceSample, error: float, min_cosine: float, calibration: Calibration) -> tuple[float, float]:

@@ -42,7 +42,11 @@ class BuildOptions(Settings):
 
     has_flags: ClassVar[bool] = False
 
-    combine_selected: bool = setting(False, "Build one cloud from all selected objects instead of one per object")
+    combine_selected: bool = setting(
+        False,
+        "Build one cloud of all selected objects, with shared textures, instead of one per object",
+        panel_label="One Cloud for All",
+    )
     keep_original_visible: bool = setting(
         False, "Keep the original visible after the build. When off, it is hidden in the viewport and in renders"
     )

@@ -66,7 +66,14 @@ def estimate_by_trial(trial: Trial, settings: BillboardSettings) -> Steps[list[L
     cloud = yield from build_cloud(trial.geometry, settings, trial.name)
     bytes_per_texel = BYTES_PER_TEXEL if settings.textures else 0
     return [
-        LevelEstimate(level.error, len(level.quads), level.triangle_count, level.texel_count, math.prod(level.atlas.size) * bytes_per_texel)
+        LevelEstimate(
+            error=level.error,
+            triangles=level.triangle_count,
+            mesh_triangles=level.chart_triangle_count,
+            quads=len(level.quads),
+            texels=level.texel_count,
+            bytes=math.prod(level.atlas.size) * bytes_per_texel,
+        )
         for level in cloud.levels
     ]
 

@@ -7,6 +7,7 @@ import bpy
 
 from ...bridge.billboards import clouds
 from ...bridge.billboards.scene_clouds import clouds_of_levels
+from ...bridge.geometry.meshes import is_collection_instance
 from ...core.billboards.estimate import LevelEstimate
 from ...core.billboards.settings import BillboardSettings
 from ...core.billboards.trial import Trial, estimate_by_trial, prepare_trial
@@ -16,6 +17,7 @@ from .. import long_work
 from .sources import read_sources
 
 MAX_AUTOMATIC_FACES = 200_000  # Larger selections are estimated only on request: reading them would block the interface too long.
+MAX_AUTOMATIC_CLOUDS = 12  # More are estimated only on request, too: each takes a second or more.
 DELAY = 0.3  # Seconds without a change before an automatic estimate starts.
 POLL_SECONDS = 0.1  # Between two looks whether an automatic estimate has ended.
 
@@ -56,7 +58,10 @@ class EstimateCache:
 
     def request(self, key: EstimateKey) -> bool:
         """Schedule the estimate for `key`. Return whether it is scheduled: not for large selections, nor while a job runs."""
-        if sum(item[2] for item in key.objects) > MAX_AUTOMATIC_FACES or long_work.current_run() is not None:
+        cloud_count = 1 if key.combine_selected else key.selected_count
+        if sum(item[2] for item in key.objects) > MAX_AUTOMATIC_FACES or cloud_count > MAX_AUTOMATIC_CLOUDS:
+            return False
+        if long_work.current_run() is not None:
             return False
         if key == self._pending:
             return True
@@ -141,7 +146,10 @@ def _all_exist(objects: tuple[tuple, ...]) -> bool:
 
 
 def _counts(item: bpy.types.Object) -> tuple[int, int]:
-    return (len(item.data.vertices), len(item.data.polygons)) if item.type == "MESH" else (0, 0)
+    """Return the number of vertices and faces of an object, or of those in the collection that it shows, before modifiers."""
+    shown = item.instance_collection.all_objects if is_collection_instance(item) and item.instance_collection is not None else [item]
+    meshes = [part.data for part in shown if part.type == "MESH"]
+    return sum(len(mesh.vertices) for mesh in meshes), sum(len(mesh.polygons) for mesh in meshes)
 
 
 def _estimate(trials: list[Trial], settings: BillboardSettings) -> Steps[list[LevelEstimate]]:
@@ -155,8 +163,9 @@ def _estimate(trials: list[Trial], settings: BillboardSettings) -> Steps[list[Le
 def _sum(levels: list[LevelEstimate]) -> LevelEstimate:
     return LevelEstimate(
         error=max(level.error for level in levels),
-        quads=sum(level.quads for level in levels),
         triangles=sum(level.triangles for level in levels),
+        mesh_triangles=sum(level.mesh_triangles for level in levels),
+        quads=sum(level.quads for level in levels),
         texels=sum(level.texels for level in levels),
         bytes=sum(level.bytes for level in levels),
     )

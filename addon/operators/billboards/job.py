@@ -7,24 +7,27 @@ from dataclasses import dataclass, field, replace
 import bpy
 
 from ...bridge.billboards import capture, clouds
+from ...bridge.billboards.decimate_comparison import can_compare, compare_with_decimate
 from ...bridge.billboards.luminance_fit import fit_luminance
 from ...bridge.billboards.scene_clouds import SceneCloud, clouds_of_levels, read_cloud
 from ...bridge.billboards.source_losses import describe_source_losses
 from ...bridge.geometry import meshes
 from ...bridge.imaging import images
-from ...bridge.objects import find_by_uid
+from ...bridge.objects import find_by_uid, instances_lights
 from ...bridge.rendering import render_properties
 from ...bridge.source_links import store_sources
 from ...core.billboards.build import build_cloud
 from ...core.billboards.cloud import Cloud
+from ...core.billboards.comparison import LevelComparison, describe_comparison
 from ...core.billboards.settings import BillboardSettings, BuildOptions
 from ...core.errors import GeometryError
 from ...core.geometry.local_origin import describe_coarseness
 from ...core.jobs.progress import Progress, Steps, subprogress
+from ...core.messages import format_count
 from .sources import linked_sources_message, read_sources
 
 LUMINANCE_FRACTION = 0.6  # End of the renders of the maps in the progress of the capture of one source.
-CAPTURE_FRACTION = 0.95  # End of the capture in the progress of the scene steps.
+CAPTURE_FRACTION = 0.9  # End of the capture in the progress of the scene steps.
 
 
 @dataclass
@@ -41,6 +44,7 @@ class BillboardJob:
         built_clouds: Each cloud with the name of its collection, once the job is done.
         linked_sources: Names of source objects whose visibility cannot be changed.
         hidden_clouds: Names of clouds that were hidden.
+        comparisons: Per cloud, its levels compared with decimated meshes, as far as they can be.
         seconds: Run time per stage.
     """
 
@@ -55,6 +59,7 @@ class BillboardJob:
     built_clouds: list[tuple[str, Cloud]] = field(default_factory=list)
     linked_sources: list[str] = field(default_factory=list)
     hidden_clouds: list[str] = field(default_factory=list)
+    comparisons: list[list[LevelComparison]] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
 
     def core_steps(self) -> Steps[list[Cloud]]:
@@ -66,11 +71,13 @@ class BillboardJob:
         return built
 
     def scene_steps(self, core_result: list[Cloud]) -> Steps[str]:
-        """Capture the textures of every cloud, then create the objects of all clouds at once.
+        """Capture the textures of every cloud and compare the levels with decimated meshes, then add the objects of all clouds at once.
 
         Raises:
             GeometryError: an object, a material or the scene was removed after the job started; nothing was created.
         """
+        uids: list[int] = []
+        is_complete = False
         try:
             if self.settings.textures:
                 core_result = [
@@ -78,10 +85,17 @@ class BillboardJob:
                     for source, cloud in zip(self.sources, core_result, strict=True)
                 ]
             textures = yield from subprogress(self._capture(core_result), 0.0, CAPTURE_FRACTION)
+            yield Progress(CAPTURE_FRACTION, "Creating objects")
+            uids += self._build_collections(core_result, textures)
+            yield from subprogress(self._compare(uids), CAPTURE_FRACTION, 1.0)
+            self._add_to_scene(core_result, uids)
+            is_complete = True
         except ReferenceError:
             raise GeometryError("The original or its materials were removed while the cloud was being built; build it again.") from None
-        yield Progress(CAPTURE_FRACTION, "Creating objects")
-        self._create_objects(core_result, textures)
+        finally:
+            for collection in [] if is_complete else [find_by_uid(bpy.data.collections, uid) for uid in uids]:
+                if collection is not None:
+                    clouds.discard_collection(collection)
         return self._summary()
 
     def _capture(self, built: list[Cloud]) -> Steps[list]:
@@ -98,25 +112,51 @@ class BillboardJob:
 
     def _capture_source(self, source: meshes.Source, cloud: Cloud) -> Steps[list]:
         textures = yield from subprogress(capture.capture_textures(source, cloud, self.settings), 0.0, LUMINANCE_FRACTION)
-        if source.mesh is None:
+        objects = _find_objects(source)
+        if source.mesh is None or instances_lights(objects):
             return textures
         started = time.perf_counter()
-        fit = fit_luminance(source, _find_objects(source), cloud, textures)
+        fit = fit_luminance(source, objects, cloud, textures)
         textures = yield from subprogress(fit, LUMINANCE_FRACTION, 1.0)
         self.seconds["luminance"] = self.seconds.get("luminance", 0.0) + time.perf_counter() - started
         return textures
 
-    def _create_objects(self, built: list[Cloud], textures: list) -> None:
+    def _build_collections(self, built: list[Cloud], textures: list) -> list[int]:
+        """Create the collection of each cloud, not yet in the scene, and return their session UIDs."""
+        started, scene = time.perf_counter(), self._find_scene()
+        for source in self.sources:
+            _find_objects(source)
+        collections = [
+            clouds.build_collection(cloud, level_textures, source, scene.collection)
+            for source, cloud, level_textures in zip(self.sources, built, textures, strict=True)
+        ]
+        self.seconds["objects"] = time.perf_counter() - started
+        return [collection.session_uid for collection in collections]
+
+    def _compare(self, uids: list[int]) -> Steps[None]:
+        """Compare the levels of each cloud with decimated meshes."""
         started = time.perf_counter()
-        scene = find_by_uid(bpy.data.scenes, self.scene_uid)
-        if scene is None:
-            raise GeometryError("The scene was removed while the cloud was being built; build it again.")
+        for index, (source, uid) in enumerate(zip(self.sources, uids, strict=True)):
+            objects, found = _find_objects(source), []
+            if self.settings.textures and can_compare(source, objects):
+                levels = find_by_uid(bpy.data.collections, uid).objects[:]
+                steps = compare_with_decimate(source, objects, levels)
+                found = yield from subprogress(steps, *_progress_range(index, len(self.sources)))
+            self.comparisons.append(found)
+        self.seconds["comparison"] = time.perf_counter() - started
+
+    def _add_to_scene(self, built: list[Cloud], uids: list[int]) -> None:
+        started, scene = time.perf_counter(), self._find_scene()
         objects_of_sources = [_find_objects(source) for source in self.sources]
         if bpy.context.mode != "OBJECT":
             bpy.ops.object.mode_set(mode="OBJECT")  # Undo in Edit Mode covers only the edited mesh, not the objects created here.
         scene_clouds = []
-        for source, cloud, level_textures, objects in zip(self.sources, built, textures, objects_of_sources, strict=True):
-            collection = clouds.create_cloud(cloud, level_textures, source, scene.collection)
+        for uid, cloud, objects, comparison in zip(uids, built, objects_of_sources, self.comparisons, strict=True):
+            collection = find_by_uid(bpy.data.collections, uid)
+            sentence = describe_comparison(comparison)
+            cloud = replace(cloud, notes=[*([sentence] if sentence else []), *cloud.notes])
+            clouds.write_notes(collection, cloud.notes)
+            scene.collection.children.link(collection)
             store_sources(collection, objects)
             self.built_clouds.append((collection.name, cloud))
             bounces = render_properties.estimate_transparent_bounces(collection.objects)
@@ -130,7 +170,13 @@ class BillboardJob:
             elif self.rebuilt_uids:
                 scene_cloud.unhide_sources()
             scene_cloud.activate_visible(bpy.context)
-        self.seconds["objects"] = time.perf_counter() - started
+        self.seconds["objects"] += time.perf_counter() - started
+
+    def _find_scene(self) -> bpy.types.Scene:
+        scene = find_by_uid(bpy.data.scenes, self.scene_uid)
+        if scene is None:
+            raise GeometryError("The scene was removed while the cloud was being built; build it again.")
+        return scene
 
     def _hide_rebuilt_clouds(self, scene_clouds: list[SceneCloud]) -> None:
         """Hide the selected clouds that were built again as `scene_clouds`: both stand in the same place."""
@@ -157,23 +203,34 @@ class BillboardJob:
 
 
 def _describe_levels(cloud: Cloud) -> str:
-    """Return the numbers of quads of all levels, and those of triangles, in all and in the meshes of solid parts."""
-    quads, triangles = ([str(len(level.quads)) for level in cloud.levels], [str(level.triangle_count) for level in cloud.levels])
-    in_meshes = [str(level.chart_triangle_count) for level in cloud.levels]
-    meshes = f", {', '.join(in_meshes)} of them in meshes" if any(level.chart_triangle_count for level in cloud.levels) else ""
-    return f"{', '.join(quads)} quads; {', '.join(triangles)} triangles{meshes}"
+    """Return the numbers of triangles, also of those in meshes, and of quads of all levels."""
+    return "; ".join(describe_counts(level.triangle_count, level.chart_triangle_count, len(level.quads)) for level in cloud.levels)
+
+
+def describe_counts(triangles: int, mesh_triangles: int, quads: int) -> str:
+    """Return the number of triangles of a level, how many of them belong to decimated meshes, and that of its quads, as text."""
+    in_meshes = f" ({mesh_triangles:,} in meshes)" if mesh_triangles else ""
+    return f"{format_count(triangles, 'triangle')}{in_meshes}, {format_count(quads, 'quad')}"
 
 
 def prepare_job(
-    context: bpy.types.Context, objects: Sequence[bpy.types.Object], settings: BillboardSettings, options: BuildOptions
+    context: bpy.types.Context,
+    objects: Sequence[bpy.types.Object],
+    settings: BillboardSettings,
+    options: BuildOptions,
+    name: str = "",
 ) -> BillboardJob:
     """Return the job that builds clouds of `objects` in the scene of `context`.
+
+    name: of a cloud of several objects, in place of that which `read_combined` finds.
 
     Raises:
         GeometryError: no cloud can be built from any of them; the message names each with the reason.
         FileError: an image file of a material is missing.
     """
     sources, skipped = read_sources(context, objects, options.combine_selected)
+    if name and len(sources) == 1 and len({instance.object_uid for instance in sources[0].instances}) > 1:
+        sources = [replace(sources[0], name=name)]
     if settings.textures:
         for source in sources:
             images.check_images(source)

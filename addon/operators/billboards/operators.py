@@ -12,7 +12,7 @@ from ...core.billboards.settings import BillboardSettings, BuildOptions, Crossfa
 from .. import long_work, properties, start_job
 from ..error_reports import report_message, reports_errors
 from .estimates import cache, estimate_key
-from .job import BillboardJob, prepare_job
+from .job import BillboardJob, describe_counts, prepare_job
 from .sources import describe_exceptions, missing_original_message, quote_clouds
 
 SHOW_ITEMS = [
@@ -50,7 +50,8 @@ def disabled_reason(context: bpy.types.Context) -> str:
 
 
 class FARFIELD_OT_billboards_build(start_job.StartJob, bpy.types.Operator):
-    """Create a billboard cloud with several levels of detail for each selected object, or build a selected cloud again from its original"""
+    """Create a billboard cloud with several levels of detail for each selected object, or one for all of them, or build a selected cloud
+    again from its original"""
 
     bl_idname = "farfield.billboards_build"
     bl_label = "Build Billboard Cloud"
@@ -66,7 +67,7 @@ class FARFIELD_OT_billboards_build(start_job.StartJob, bpy.types.Operator):
 
 
 class FARFIELD_OT_billboards_estimate(bpy.types.Operator):
-    """Estimate the quads, texels and texture memory of billboard clouds of the selected objects"""
+    """Estimate the triangles, quads, texels and texture memory of billboard clouds of the selected objects"""
 
     bl_idname = "farfield.billboards_estimate"
     bl_label = "Estimate Billboard Cloud"
@@ -82,7 +83,10 @@ class FARFIELD_OT_billboards_estimate(bpy.types.Operator):
         """Compute the estimate and store it for the panel."""
         settings = properties.read(BillboardSettings, context.scene.farfield_billboards)
         result = cache.compute(context, estimate_key(context, settings))
-        levels = [f"{level.quads:,} quads, {level.texels:,} texels, {level.bytes / 1e6:.1f} MB" for level in result.levels]
+        levels = [
+            f"{describe_counts(level.triangles, level.mesh_triangles, level.quads)}, {level.texels:,} texels, {level.bytes / 1e6:.1f} MB"
+            for level in result.levels
+        ]
         report_message(self, f"About {'; '.join(levels)}.")
         return {"FINISHED"}
 

@@ -9,18 +9,19 @@ import bpy
 
 from ...bridge.billboards import clouds
 from ...bridge.billboards.scene_clouds import SceneCloud, clouds_of_levels
-from ...bridge.billboards.source_objects import read_source_objects
+from ...bridge.billboards.source_objects import read_combined, read_source_objects
 from ...bridge.geometry import meshes
 from ...bridge.objects import temporarily_visible
 from ...core.errors import GeometryError
-from ...core.messages import join_sentences, quote_names
+from ...core.messages import format_count, join_sentences, quote_names
 
 
 def read_sources(context: bpy.types.Context, objects: Sequence[bpy.types.Object], combine: bool) -> tuple[list[meshes.Source], list[str]]:
     """Read the sources of clouds from `objects`. Returns them and the skipped objects: names with reasons.
 
     A mesh with only vertices is a point cloud, which is always a source of its own, also with `combine`. The levels of a cloud represent
-    the objects that it was built from, which may be hidden; they become one source.
+    the objects that it was built from, which may be hidden; they become one source. With `combine` the active object comes first, as in
+    Blender's Join, because others give name and origin only in its absence, see `read_combined`.
 
     Raises:
         GeometryError: there is no source.
@@ -37,7 +38,8 @@ def read_sources(context: bpy.types.Context, objects: Sequence[bpy.types.Object]
     if combine:
         originals = [source for cloud in rebuilt for source in cloud.sources]
         with temporarily_visible(context, originals) as depsgraph:
-            return _read_selected(list(dict.fromkeys([*ordinary, *originals])), depsgraph, True, skipped), skipped
+            active = [item for item in ordinary if item == context.view_layer.objects.active]
+            return _read_selected(list(dict.fromkeys([*active, *ordinary, *originals])), depsgraph, True, skipped), skipped
     sources = _read_clouds(context, rebuilt, skipped)
     if ordinary or not sources:
         try:
@@ -47,6 +49,18 @@ def read_sources(context: bpy.types.Context, objects: Sequence[bpy.types.Object]
                 raise
             skipped.append(str(error).removesuffix("."))
     return sources, skipped
+
+
+def describe_selection(context: bpy.types.Context, combine: bool) -> str:
+    """Return sentences about what a build makes of the selection; "" for a single object or cloud. Cheap enough for every redraw."""
+    selected = context.selected_objects
+    surfaces = [item for item in selected if meshes.may_have_surface(item) and clouds.KIND not in item]
+    others = sum(not meshes.may_have_surface(item) for item in selected)
+    count = len(surfaces) + len(clouds_of_levels(context.scene, selected) if len(surfaces) + others < len(selected) else [])
+    if count < 2:
+        return ""
+    outcome = f"One cloud of {count} objects." if combine else f"{count} clouds, one per object."
+    return join_sentences([outcome, f"{format_count(others, 'object')} without a surface." if others else ""])
 
 
 def is_point_cloud(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
@@ -84,7 +98,7 @@ def _read_surfaces(
     """Return one source of all `objects`, or one per object with faces; add the other objects to `skipped`."""
     if not objects:
         raise GeometryError(f"Nothing to build a cloud from: {'; '.join(skipped) or 'no object is selected'}. Select an object with faces.")
-    combined = meshes.read_source(objects, depsgraph)
+    combined = read_combined(objects, depsgraph)
     skipped += combined.skipped
     names = {instance.name for instance in combined.instances}
     if combine or len(names) == 1:

@@ -1,0 +1,208 @@
+"""Levels of a cloud compared with what Blender's Decimate makes of the same source with as many triangles.
+
+Source, level and mesh are rendered with Cycles, with their materials, from a few views where the error of the level is one pixel: from
+farther away, nobody sees the difference better. This costs a few percent of a build.
+"""
+
+import math
+from collections.abc import Sequence
+
+import bpy
+import mathutils
+import numpy as np
+
+from ...core.billboards.comparison import LevelComparison, measure_difference
+from ...core.geometry.cameras import OrthographicView
+from ...core.geometry.directions import from_spherical
+from ...core.geometry.mesh import longest_side
+from ...core.jobs.progress import Progress, Steps
+from ..cameras import light_matrix, set_camera_view
+from ..geometry.evaluated_mesh import EvaluatedMesh
+from ..geometry.joined_meshes import find_frame, join_instances
+from ..geometry.mesh_arrays import MAX_NORMAL_STEP, read_values, write_attribute, write_corner_normals, write_triangles
+from ..geometry.meshes import Source, find_material
+from ..lod_sets import ERROR
+from ..objects import instances_lights
+from ..rendering.render_properties import copy_render_properties
+from ..rendering.render_scene import RenderScene, prepare_cycles, render_scene
+from ..shading.scene_space_nodes import reads_object, required_attributes
+
+VIEWS = from_spherical(np.array([[1.0, 0.6], [1.35, 2.7], [0.7, 4.8]]))
+SUNS = (*from_spherical(np.array([[0.6, 2.0], [1.3, 4.4]])), None)  # High, low, and the sky alone: one per view.
+SUN_STRENGTH, SUN_ANGLE = 3.0, 0.05  # W/m2, and radians across the disc.
+SKY_RADIANCE = 0.3
+SAMPLES = 4  # Per pixel. The mean visible difference hardly depends on them.
+MAX_TRANSPARENT_BOUNCES = 256
+MAX_PIXELS = 512  # Along the side of a render; finer levels are not compared.
+MAX_TRIANGLES = 300_000  # Of the source: Decimate would take longer than is worth it.
+MARGIN = 6  # Pixels around the object.
+MERGE_DISTANCE = 1e-6  # Relative to the longest side. Decimate would tear open the seams of imported meshes.
+MAX_EXCESS = 1.02  # Triangles of a decimated mesh over those of the level.
+ATTEMPTS = 6
+
+
+def can_compare(source: Source, objects: Sequence[bpy.types.Object]) -> bool:
+    """Return whether a decimated mesh of `source`, which was read from `objects`, can be rendered in moderate time and looks like it."""
+    if source.mesh is None or len(source.mesh.triangles) > MAX_TRIANGLES:
+        return False
+    if instances_lights(objects):
+        return False
+    # One mesh of several objects has one position and random number only.
+    trees = [material.node_tree for material in source.materials if material.node_tree is not None]
+    return not any(reads_object(tree, len(source.instances) > 1) for tree in trees)
+
+
+def compare_with_decimate(
+    source: Source, objects: Sequence[bpy.types.Object], levels: Sequence[bpy.types.Object]
+) -> Steps[list[LevelComparison]]:
+    """Compare `levels`, finest first, with decimated meshes of `source`, which was read from `objects`. See `can_compare`.
+
+    Levels that are as heavy as the source, or too fine for a small render, are left out.
+
+    Raises:
+        FileError: the temporary folder cannot hold a render.
+        FarfieldError: Cycles is disabled.
+    """
+    comparisons = []
+    with render_scene("Farfield Comparison") as work:
+        joined = _add_joined_mesh(work, source, objects)
+        total, sun = len(joined.data.polygons), _prepare_scene(work)
+        with work.show([*objects, *levels]):
+            for index, level in enumerate(levels):
+                view_size = _find_size(source, level[ERROR])
+                count = len(level.data.loops) - 2 * len(level.data.polygons)
+                if count >= total or view_size > MAX_PIXELS:
+                    continue
+                yield Progress(index / len(levels), "Comparing with Decimate")
+                decimated = _decimate(work, joined, count)
+                shown = [list(objects), [level], [] if decimated is None else [decimated]]
+                renders = _render(work, sun, shown, source, level[ERROR], view_size)
+                mesh = None if decimated is None else measure_difference(renders[0], renders[2])
+                comparisons.append(LevelComparison(index, count, measure_difference(renders[0], renders[1]), mesh))
+    return comparisons
+
+
+def _prepare_scene(work: RenderScene) -> bpy.types.Object:
+    """Set up the lights and Cycles, and return the Sun."""
+    prepare_cycles(work.scene, SAMPLES, MAX_TRANSPARENT_BOUNCES)
+    work.scene.world = work.add_world(SKY_RADIANCE)
+    light = work.own(bpy.data.lights.new("Farfield Comparison", "SUN"))
+    light.energy, light.angle = SUN_STRENGTH, SUN_ANGLE
+    return work.add_object(light)
+
+
+def _find_size(source: Source, error: float) -> int:
+    """Return the side in pixels of a view of the whole source whose pixels have the side `error`."""
+    return math.ceil(2.0 * _bounding_sphere(source)[1] / error) + 2 * MARGIN
+
+
+def _bounding_sphere(source: Source) -> tuple[np.ndarray, float]:
+    low, high = source.mesh.vertices.min(axis=0), source.mesh.vertices.max(axis=0)
+    return 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
+
+
+def _render(
+    work: RenderScene, sun: bpy.types.Object, shown: Sequence[Sequence[bpy.types.Object]], source: Source, pixel_size: float, size: int
+) -> list[list[np.ndarray]]:
+    """Return renders (S, S, 4) from all VIEWS of each of the groups of objects `shown`."""
+    center, _ = _bounding_sphere(source)
+    others = [item for item in work.scene.objects if item.type != "CAMERA" and item != sun]
+    renders: list[list[np.ndarray]] = [[] for _ in shown]
+    for direction, sun_direction in zip(VIEWS, SUNS, strict=True):
+        set_camera_view(work.scene, OrthographicView(direction, center, size, pixel_size))
+        sun.hide_render = sun_direction is None
+        if sun_direction is not None:
+            sun.matrix_world = light_matrix(sun_direction)
+        for images, items in zip(renders, shown, strict=True):
+            if items:
+                for item in others:
+                    item.hide_render = item not in items
+                images.append(work.render())
+    return renders
+
+
+def _add_joined_mesh(work: RenderScene, source: Source, objects: Sequence[bpy.types.Object]) -> bpy.types.Object:
+    """Add one object with everything that the source shows, in the space of its only object or at its origin."""
+    frame = np.eye(4)
+    frame[:3, 3] = source.origin
+    if len(objects) == 1:
+        frame = find_frame(np.array(objects[0].matrix_world))
+    mesh = work.own(bpy.data.meshes.new("Farfield Decimated"))
+    _write_mesh(mesh, join_instances(source.instances, np.linalg.inv(frame)))
+    joined = work.add_object(mesh)
+    copy_render_properties(objects[0], joined)
+    joined.matrix_world = mathutils.Matrix(frame.tolist())
+    return joined
+
+
+def _write_mesh(mesh: bpy.types.Mesh, evaluated: EvaluatedMesh) -> None:
+    """Fill a Blender mesh with one that was read, with everything that its materials may read and with merged vertices."""
+    triangles, kept = _merge_vertices(evaluated)
+    used, triangles = np.unique(triangles, return_inverse=True)
+    write_triangles(mesh, evaluated.vertices[used], triangles.reshape(-1, 3))
+    mesh.polygons.foreach_set("material_index", evaluated.material_indices[kept])
+    materials = [None if key is None else find_material(key) for key in evaluated.materials]
+    for material in materials:
+        mesh.materials.append(material)
+    required = {evaluated.uv_map, evaluated.color}
+    for material in materials:
+        if material is not None and material.node_tree is not None:
+            required |= required_attributes(material.node_tree)
+    _write_normals(mesh, evaluated.normals[evaluated.loops[kept]])
+    for name in evaluated.attributes:
+        if name in required:
+            write_attribute(mesh, name, "CORNER", evaluated.at_corners(name, kept))
+    if evaluated.uv_map:
+        mesh.uv_layers[evaluated.uv_map].active_render = True
+    if evaluated.color:
+        mesh.attributes.default_color_name = evaluated.color
+
+
+def _write_normals(mesh: bpy.types.Mesh, normals: np.ndarray) -> None:
+    """Write the shading normals (T, 3, 3), and mark flat triangles, which are flat after decimation, too."""
+    write_corner_normals(mesh, normals)
+    face_normals = read_values(mesh.polygons, "normal", 3)
+    is_flat = np.abs(normals - face_normals[:, None]).max(axis=(1, 2)) <= MAX_NORMAL_STEP
+    if is_flat.any():
+        mesh.attributes.new("sharp_face", "BOOLEAN", "FACE").data.foreach_set("value", is_flat)
+
+
+def _merge_vertices(mesh: EvaluatedMesh) -> tuple[np.ndarray, np.ndarray]:
+    """Return triangles (K, 3) of a mesh whose vertices at one position are one, and their indices (K,) in it.
+
+    Vertices of coincident triangles, such as the fronts and backs of leaf cards, stay apart.
+    """
+    distance = max(MERGE_DISTANCE * longest_side(mesh.vertices), 1e-30)
+    _, first, groups = np.unique(np.rint(mesh.vertices / distance), axis=0, return_index=True, return_inverse=True)
+    groups = groups.reshape(-1)
+    corners = groups[mesh.triangles]
+    _, rows, counts = np.unique(np.sort(corners, axis=1), axis=0, return_inverse=True, return_counts=True)
+    merged = first[corners]
+    is_coincident = np.zeros(len(mesh.vertices), bool)
+    is_coincident[mesh.triangles[counts[rows.reshape(-1)] > 1]] = True
+    triangles = np.where(is_coincident[mesh.triangles], mesh.triangles, merged)
+    kept = np.flatnonzero((triangles != np.roll(triangles, 1, axis=1)).all(axis=1))
+    return triangles[kept], kept
+
+
+def _decimate(work: RenderScene, joined: bpy.types.Object, count: int) -> bpy.types.Object | None:
+    """Add a copy of `joined` that Decimate has reduced to nearly `count` triangles, or fewer; None if it cannot reach so few."""
+    modifier = joined.modifiers.new("Decimate", "DECIMATE")
+    modifier.use_collapse_triangulate = True
+    ratio, view_layer = count / len(joined.data.polygons), work.scene.view_layers[0]
+    try:
+        for _ in range(ATTEMPTS):
+            modifier.ratio = ratio
+            view_layer.update()
+            evaluated = joined.evaluated_get(view_layer.depsgraph)
+            reached = len(evaluated.data.polygons)
+            if 0 < reached <= MAX_EXCESS * count:
+                mesh = work.own(bpy.data.meshes.new_from_object(evaluated, preserve_all_data_layers=True, depsgraph=view_layer.depsgraph))
+                decimated = work.add_object(mesh)
+                copy_render_properties(joined, decimated)
+                decimated.matrix_world = joined.matrix_world
+                return decimated
+            ratio *= min(count / max(reached, 1), 0.95)
+        return None
+    finally:
+        joined.modifiers.remove(modifier)
