@@ -25,7 +25,6 @@ from farfield.addon.bridge.billboards import clouds
 from farfield.addon.bridge.billboards.cloud_materials import FRONT_COLOR
 from farfield.addon.bridge.billboards.level_objects import CENTER, PBR_MATERIAL, pbr_image, pbr_material
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
-from farfield.addon.bridge.btf.capture import light_calibration
 from farfield.addon.bridge.btf.levels.decode import read_relightable_texture
 from farfield.addon.bridge.btf.levels.emission_levels import link_suns
 from farfield.addon.bridge.btf.materials.emission_material import AMBIENT, sun_color_property, sun_direction_property
@@ -229,10 +228,8 @@ class TestLinkedDuplicates:
         assert len(clouds_in(bpy.context.scene)[0].levels) == 3
         return duplicate
 
-    def test_both_are_baked_again_and_restored(self, cloud, duplicate, monkeypatch):
+    def test_both_are_baked_again_and_restored(self, cloud, duplicate):
         """A bake replaces that of the other model."""
-        for name in ("PAIR_COUNT", "SOURCE_SAMPLES", "SAMPLES"):
-            monkeypatch.setattr(light_calibration, name, 1)
         level = cloud.levels[0]
         pbr_name = level.data.materials[0].name
         for model in ("surface", "emission", "surface"):

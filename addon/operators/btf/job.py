@@ -19,7 +19,6 @@ from ...bridge.billboards.source_objects import read_source_objects
 from ...bridge.btf.capture import snapshot as btf_snapshot
 from ...bridge.btf.capture import source_renderers as btf_capture
 from ...bridge.btf.capture import worker as btf_worker
-from ...bridge.btf.capture.light_calibration import calibrate_light_coverage, has_loose_quads
 from ...bridge.btf.capture.snapshot import may_run_python_drivers
 from ...bridge.btf.levels import emission_levels as btf_clouds
 from ...bridge.btf.levels.level_checks import check_editable, check_level, is_unchanged
@@ -35,7 +34,7 @@ from ...core.btf.capture.observations import LOW_ORDER_LIGHTS
 from ...core.btf.capture.shards import ShardLayout, ShardStore
 from ...core.btf.compression import CompressedTextures, LevelCompressor
 from ...core.btf.refinement.training import training_views
-from ...core.btf.settings import SURFACE_CHANNELS, BtfSettings
+from ...core.btf.settings import REFERENCE_CHANNELS, BtfSettings
 from ...core.btf.surface_compression import SurfaceCompressor, SurfaceTextures
 from ...core.errors import FarfieldError, FileError, GeometryError
 from ...core.files.temporary_folders import folder_prefix
@@ -152,27 +151,11 @@ class BakeJob:
                 else:
                     assign_surface_material(level_object, baked.texels, baked.textures, self.settings, self.parameters)
             btf_clouds.raise_transparent_bounces(cloud.collection, max(baked.max_depth_complexity for baked in core_result))
-        with self.clock.stage("calibrate"):
-            if not self.settings.bakes_emission:
-                yield from self._calibrate(cloud)
         if self.temporary_folder is not None:
             self.temporary_folder.cleanup()
         elif not self.keep_finished_views and not heartbeat.is_alive(self.folder):  # Another Blender may have started the same bake.
             shutil.rmtree(self.folder, ignore_errors=True)
         return f'Baked "{self.collection}": {sum(figure["renders"] for figure in self.figures):,} renders.'
-
-    def _calibrate(self, cloud: SceneCloud) -> Steps[None]:
-        """Calibrate the light that loose quads block. If the source was changed or removed during the bake, the default stays."""
-        sources, count = cloud.sources, len(self.levels)
-        loose = [index for index, level_object in enumerate(cloud.levels) if has_loose_quads(level_object)]
-        if not loose or not sources or cloud.missing_source_names:
-            return
-        if read_source_objects(bpy.context, sources).fingerprint != self.fingerprint:
-            return
-        for index in loose:
-            level = self.levels[index]
-            steps = calibrate_light_coverage(cloud.levels[index], sources, level.center, level.views[0], self.settings.seed)
-            self.figures[index]["light_coverage"] = yield from subprogress(steps, index / count, (index + 1) / count)
 
     def _capture(self) -> Steps[int]:
         """Let worker processes capture missing views; return their number."""
@@ -218,6 +201,8 @@ class BakeJob:
             training = training_views(level.quads, texels, level.views, store)
             if settings.refine:
                 textures = yield from subprogress(compressor.refine(textures, training), COMPRESS_END, REFINE_END)
+            if not settings.bakes_emission:
+                textures = yield from subprogress(compressor.fit_near_visibility(textures, training), REFINE_END, 1.0)
             max_depth_complexity = max(view.max_depth_complexity() for view in training)
         component_errors = []
         if settings.bakes_emission:
@@ -304,8 +289,9 @@ def _read_level(level_object: bpy.types.Object, source: meshes.Source, settings:
     texels, quads = read_level_texels(level_object, center), read_level_quads(level_object, center)
     views = btf_capture.build_views(source, settings.view_grid, texels.texel_size)
     spec = LevelCaptureSpec(texels, *clouds.read_drawn_primitives(level_object.data), float(level_object["farfield_error"]))
-    reference_count = LOW_ORDER_LIGHTS if settings.bakes_emission else SURFACE_CHANNELS
-    counts = len(texels), settings.images_per_view, reference_count, views[0].resolution, settings.view_count, settings.shadow_count
+    reference_count = LOW_ORDER_LIGHTS if settings.bakes_emission else REFERENCE_CHANNELS
+    image_count = settings.images_per_view if settings.bakes_emission else 1
+    counts = len(texels), image_count, reference_count, views[0].resolution, settings.view_count, settings.shadow_count
     store = ShardStore(btf_snapshot.store_folder(folder, index), ShardLayout(*counts))
     if settings.bakes_emission:
         surface = btf_clouds.read_texel_surface(level_object, texels)

@@ -3,7 +3,7 @@
 import argparse
 import os
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,20 +11,21 @@ import numpy as np
 from ....core.btf.capture.capture_spec import LevelCaptureSpec
 from ....core.btf.capture.observations import (
     ID_BUFFER_SCALE,
+    ReferenceImage,
     ViewRender,
     compute_reference_image,
     low_order_lights,
     observe,
     visible_subsamples,
 )
-from ....core.btf.capture.shard_files import ViewFiles, encode_visibility, to_half
+from ....core.btf.capture.shard_files import encode_visibility
 from ....core.btf.capture.shards import ShardStore
+from ....core.btf.settings import REFERENCE_CHANNELS
 from ....core.errors import FarfieldError
 from ....core.geometry.cameras import OrthographicView
 from ....core.jobs.core_worker import EXIT_ERROR, encode_error
 from ....core.jobs.dispatch import Shard
 from ....core.jobs.heartbeat import exit_when_run_ends
-from ...shading.node_builder import has_emission
 from ...worker_processes import worker_command
 from . import source_renderers
 from .snapshot import Snapshot, open_snapshot, store_folder
@@ -123,28 +124,12 @@ def _capture_surface_views(
 ) -> None:
     """Capture the material channels of all views, for the model *surface*."""
     source, settings = snapshot.source, snapshot.settings
-    emission_seconds = _capture_emission(snapshot, jobs, threads)
     with open_surface_renderer(source, settings, threads) as renderer:
-        for job, (visibility, seconds), more_seconds in zip(jobs, visibility_and_seconds, emission_seconds, strict=True):
+        for job, (_, seconds) in zip(jobs, visibility_and_seconds, strict=True):
             start = renderer.work.render_seconds
-            emission = job.emission_files.read(job.index, "emission")[0].astype(np.float32) if more_seconds else None
-            render = renderer.render_view(job.view, job.read_face_ids(), emission)
-            seconds += more_seconds + renderer.work.render_seconds - start
-            job.write(render, np.eye(len(render.radiance), dtype=np.float32), visibility, seconds)
-            job.emission_files.remove(job.index)
-
-
-def _capture_emission(snapshot: Snapshot, jobs: list["_ViewJob"], threads: int) -> list[float]:
-    """Store the emission of all views if a material may emit light. Return the render times in seconds; 0 if none does."""
-    seconds = [0.0] * len(jobs)
-    if not has_emission(snapshot.source.materials):
-        return seconds
-    with source_renderers.open_radiance_renderer(snapshot.objects, snapshot.source, snapshot.settings, threads) as renderer:
-        for index, job in enumerate(jobs):
-            start = renderer.work.render_seconds
-            job.emission_files.write(job.index, {"emission": to_half(renderer.render_emission(job.view))})
-            seconds[index] = renderer.work.render_seconds - start
-    return seconds
+            render = renderer.render_view(job.view, job.read_face_ids())
+            seconds += renderer.work.render_seconds - start
+            job.write_surface(render, seconds)
 
 
 @dataclass(frozen=True)
@@ -169,12 +154,14 @@ class _ViewJob:
         """Return the ID buffer (H, W) int32 of the view."""
         return self.store.face_ids.read(self.index, "face_ids")[0]
 
-    @property
-    def emission_files(self) -> ViewFiles:
-        """The emission of unfinished views."""
-        return ViewFiles(self.store.folder, "emission")
-
     def write(self, render: ViewRender, reference_weights: np.ndarray, visibility: list[np.ndarray], seconds: float) -> None:
         """Write the finished view. reference_weights (L, M): of the images of `render` in the colors of the reference image."""
         observation = observe(self.spec.texels, self.view, render, self.spec.quad_faces, self.spec.error)
         self.store.write(self.index, observation, compute_reference_image(render, reference_weights), visibility, seconds)
+
+    def write_surface(self, render: ViewRender, seconds: float) -> None:
+        """Write the finished view of the model *surface*: its texels show the irradiance, its reference image color and normal."""
+        reference = ReferenceImage(render.radiance[:REFERENCE_CHANNELS], render.coverage)
+        irradiance = replace(render, radiance=render.radiance[REFERENCE_CHANNELS:])
+        observation = observe(self.spec.texels, self.view, irradiance, self.spec.quad_faces, self.spec.error)
+        self.store.write(self.index, observation, reference, [], seconds)

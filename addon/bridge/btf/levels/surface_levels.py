@@ -12,17 +12,25 @@ from ....core.btf.surface_compression import SurfaceTextures, TwoSidedTexels
 from ....core.btf.tables import build_alpha_table
 from ....core.errors import GeometryError
 from ....core.imaging.metrics import decode_srgb
-from ...billboards.cloud_materials import COLOR, MAPS, NORMAL, SHADOWLESS_DISTANCE, SIDES, SOLID_ATTRIBUTE, map_label
+from ...billboards.cloud_materials import (
+    COLOR,
+    JOINED_ATTRIBUTE,
+    MAPS,
+    NORMAL,
+    SHADOWLESS_DISTANCE,
+    SIDES,
+    SOLID_ATTRIBUTE,
+    map_label,
+)
 from ...billboards.level_maps import SHADOWLESS_ERRORS
 from ...billboards.level_objects import pbr_image, pbr_material, read_layer_pixels, read_layers, read_pbr_alpha, read_quad_flags
 from ...imaging.images import check_pixels, read_pixels
 from ...lod_crossfade import apply_to_materials
 from ...shading.shared_parameters import Value
-from ...shading.surface_layers import EMISSION as EMISSION_LAYER
 from ...shading.surface_layers import TRANSLUCENCY, TRANSMISSION
 from ..materials.emission_material import LAYOUT, VERSION
 from ..materials.nodes.parallax_nodes import write_texel_axes
-from ..materials.surface_material import DEFAULT_LIGHT_COVERAGE, SurfaceImages, build_surface_material, set_light_coverage
+from ..materials.surface_material import NEAR_VISIBILITY, SurfaceImages, build_surface_material
 from ..materials.texture_images import create_color_image, create_half_float_image, create_weight_images
 from .emission_levels import remove_suns, replace_pbr_material
 
@@ -54,7 +62,10 @@ def read_two_sided_texels(level_object: bpy.types.Object, texels: Texels) -> Two
         return np.column_stack([color_sum, normal]).astype(np.float32)
 
     return TwoSidedTexels(
-        texels, *map(read_side, SIDES), read_pbr_alpha(level_object, texels), read_quad_flags(level_object, SOLID_ATTRIBUTE)
+        texels,
+        *map(read_side, SIDES),
+        read_pbr_alpha(level_object, texels),
+        *(read_quad_flags(level_object, name) for name in (SOLID_ATTRIBUTE, JOINED_ATTRIBUTE)),
     )
 
 
@@ -70,10 +81,6 @@ def assign_surface_material(
     error = float(level_object["farfield_error"])
     write_texel_axes(level_object.data, parallax_axes(texels, error))
     table = build_alpha_table(textures.alpha, views)
-    emission = None
-    if textures.emission is not None:
-        known = texels.to_image(textures.alpha.known[:, None].astype(np.float32))[..., 0]
-        emission = create_color_image(f"{name} Emission", textures.emission, None, texels, known)
     shown_sides = SIDES[:1] if read_quad_flags(level_object, SOLID_ATTRIBUTE).all() else SIDES
     images = SurfaceImages(
         maps={key: image for key, image in _pbr_images(level_object).items() if key[0] in shown_sides},
@@ -81,14 +88,21 @@ def assign_surface_material(
         alpha_basis=create_half_float_image(f"{name} Alpha", table.image),
         alpha=table,
         upper=views.upper,
-        emission=emission,
-        layers={name: layer for name, layer in read_layers(level_object).items() if name != EMISSION_LAYER},
+        near_visibility=_create_visibility_image(f"{name} {NEAR_VISIBILITY}", textures.near_visibility, texels),
+        layers=read_layers(level_object),
     )
     material = build_surface_material(name, images, _shadowless_distance(level_object, error), parameters)
-    set_light_coverage(material, DEFAULT_LIGHT_COVERAGE)
     material[LAYOUT] = {"version": VERSION, "model": settings.model, "views_per_side": views.size, "views_upper": int(views.upper)}
     replace_pbr_material(level_object, material)
     apply_to_materials(level_object)
+
+
+def _create_visibility_image(name: str, near_visibility: np.ndarray | None, texels: Texels) -> bpy.types.Image | None:
+    """Create the image of the near visibility (2, N), red for fronts and green for backs; None without it."""
+    if near_visibility is None:
+        return None
+    known = texels.to_image(np.ones((len(texels), 1), np.float32))[..., 0]
+    return create_color_image(name, np.column_stack([*near_visibility, np.ones(len(texels), np.float32)]), None, texels, known)
 
 
 def _pbr_images(level_object: bpy.types.Object) -> dict[tuple[str, str], bpy.types.Image | None]:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import bpy
 
+from ....core.btf.surface_compression import CONTRAST, PIVOT
 from ....core.btf.tables import ViewTable
 from ...billboards.cloud_materials import (
     COLOR,
@@ -28,14 +29,15 @@ from ...billboards.cloud_materials import (
 )
 from ...shading.node_builder import NodeBuilder, SocketOrValue, create_group
 from ...shading.shared_parameters import Value, write_parameters
-from .emission_material import ALPHA_BASIS, ALPHA_WEIGHTS, EMISSION
+from ...shading.surface_layers import TRANSLUCENCY
+from .emission_material import ALPHA_BASIS, ALPHA_WEIGHTS
 from .nodes.parallax_nodes import depth_uv
 from .nodes.table_nodes import map_uv, sample_image, sample_weights, weighted_scalar_sum
 
 SHADOW_RAYS_LEAVE = "Shadow Rays Leave"  # Input of the group: 1 if shadow rays start at the shaded point, 0 if they start at the light.
+NEAR_VISIBILITY = "Near Visibility"  # Label of its node.
 LIGHT_COVERAGE = "Light Coverage"  # Input of the group: 0 to 1, see `_light_alpha`.
-DEFAULT_LIGHT_COVERAGE = 0.5  # Until it is calibrated.
-CONTRAST, PIVOT = 2.0, 0.4  # For the silhouettes of joined quads: alpha above the pivot grows, alpha below it shrinks.
+DEFAULT_LIGHT_COVERAGE = 1.0  # The near visibility is fitted to this value.
 SHARPNESS = 2.0  # Factor of the alpha of joined quads for light: two that meet with half coverage each let none through.
 
 
@@ -49,7 +51,7 @@ class SurfaceImages:
         alpha_basis: Image of the lookup table `alpha`.
         alpha: Lookup table by view.
         upper: Whether its views are in the hemi-octahedral map.
-        emission: Emitted radiance; None if nothing emits light.
+        near_visibility: Light that reaches the surfaces, red for fronts and green for backs, see `near_visibility`; None if it is 1.
         layers: Other layers of the PBR maps by name, see `surface_layers`.
     """
 
@@ -58,7 +60,7 @@ class SurfaceImages:
     alpha_basis: bpy.types.Image
     alpha: ViewTable
     upper: bool
-    emission: bpy.types.Image | None
+    near_visibility: bpy.types.Image | None
     layers: Mapping[str, ShownLayer]
 
 
@@ -75,16 +77,10 @@ def build_surface_material(
     for engine, leave in (("CYCLES", 1.0), ("EEVEE", 0.0)):
         node = builder.node("ShaderNodeGroup", {"node_tree": group, "label": engine.title()})
         node.inputs[SHADOW_RAYS_LEAVE].default_value = leave
+        node.inputs[LIGHT_COVERAGE].default_value = DEFAULT_LIGHT_COVERAGE
         builder.connect(node.outputs[0], builder.node("ShaderNodeOutputMaterial", {"target": engine}).inputs["Surface"])
     builder.arrange()
     return material
-
-
-def set_light_coverage(material: bpy.types.Material, light_coverage: float) -> None:
-    """Set how much light the loose quads of a surface material block, 0 to 1, for all render engines."""
-    for node in material.node_tree.nodes:
-        if node.type == "GROUP" and LIGHT_COVERAGE in node.inputs:
-            node.inputs[LIGHT_COVERAGE].default_value = light_coverage
 
 
 def _fill_group(builder: NodeBuilder, images: SurfaceImages, shadowless_distance: float, parameters: dict[str, Value]) -> None:
@@ -97,17 +93,19 @@ def _fill_group(builder: NodeBuilder, images: SurfaceImages, shadowless_distance
     is_leaving = builder.math("MAXIMUM", path.outputs["Is Diffuse Ray"], leaving_shadow_ray)
     is_joined, is_solid = (builder.attribute(name, is_scalar=True) for name in (JOINED_ATTRIBUTE, SOLID_ATTRIBUTE))
     viewer = _viewer(builder, incoming, is_solid, is_backfacing, is_leaving)
-    view_alpha, pbr_alpha = _decode_alpha(builder, images, viewer, is_joined)
+    view_alpha, pbr_alpha = _decode_alpha(builder, images, viewer)
     alpha = _light_alpha(builder, view_alpha, pbr_alpha, is_joined, is_light_ray, inputs[LIGHT_COVERAGE])
     arriving_shadow_ray = builder.math("SUBTRACT", path.outputs["Is Shadow Ray"], leaving_shadow_ray)
     alpha = builder.math("MULTIPLY", alpha, _casts_shadow(builder, is_solid, is_backfacing, arriving_shadow_ray))
     maps = _visible_maps(builder, images, incoming, is_backfacing)
+    layers = {name: _visible_layer(builder, name, layer, is_backfacing) for name, layer in images.layers.items()}
+    if images.near_visibility is not None:
+        front, back, _ = builder.separate_color(sample_image(builder, images.near_visibility, NEAR_VISIBILITY)[0])
+        maps[COLOR] = builder.vector("SCALE", maps[COLOR], builder.mix(is_backfacing, front, back))
+        if TRANSLUCENCY in layers:  # Its light comes from behind.
+            layers[TRANSLUCENCY] = builder.vector("SCALE", layers[TRANSLUCENCY], builder.mix(is_backfacing, back, front))
     shader = add_quad_shader(builder, maps, alpha, shadowless_distance, is_backfacing)
     write_parameters(shader, parameters)
-    if images.emission is not None:
-        builder.connect(sample_image(builder, images.emission, EMISSION)[0], shader.inputs["Emission Color"])
-        shader.inputs["Emission Strength"].default_value = 1.0
-    layers = {name: _visible_layer(builder, name, layer, is_backfacing) for name, layer in images.layers.items()}
     surface = add_layers(builder, shader, layers, {name: layer.scale for name, layer in images.layers.items()})
     builder.connect(surface, builder.node("NodeGroupOutput").inputs[0])
     builder.arrange()
@@ -166,21 +164,15 @@ def _light_alpha(
     return builder.math("ADD", view_alpha, builder.math("MULTIPLY", more, is_light_ray), clamp=True)
 
 
-def _decode_alpha(
-    builder: NodeBuilder, images: SurfaceImages, viewer: SocketOrValue, is_joined: SocketOrValue
-) -> tuple[SocketOrValue, SocketOrValue]:
-    """Return the alpha in 0..1 of the silhouette from `viewer`, the sum over its components plus the alpha of the PBR map, and the latter.
-
-    Joined quads get more contrast, or cracks would show between two quads of a flat face.
-    """
+def _decode_alpha(builder: NodeBuilder, images: SurfaceImages, viewer: SocketOrValue) -> tuple[SocketOrValue, SocketOrValue]:
+    """Return the alpha in 0..1 of the silhouette from `viewer`, see `sharpen_alpha`, and the alpha of the PBR map."""
     front = images.maps[SIDES[0], COLOR]
     weights = sample_weights(builder, list(images.alpha_weights), ALPHA_WEIGHTS, front.size[1])
     view = map_uv(builder, images.upper, viewer)
     total = weighted_scalar_sum(builder, images.alpha_basis, ALPHA_BASIS, images.alpha, view, weights)
     pbr_alpha = sample_map(builder, front, SIDES[0], COLOR)[1]
     alpha = builder.math("ADD", total, pbr_alpha, clamp=True)
-    contrast = builder.math("ADD", builder.math("MULTIPLY", is_joined, CONTRAST - 1.0), 1.0)
-    sharpened = builder.math("MULTIPLY", builder.math("SUBTRACT", alpha, PIVOT), contrast)
+    sharpened = builder.math("MULTIPLY", builder.math("SUBTRACT", alpha, PIVOT), CONTRAST)
     return builder.math("ADD", sharpened, PIVOT, clamp=True), pbr_alpha
 
 

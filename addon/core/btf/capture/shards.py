@@ -14,7 +14,7 @@ from ...jobs.job_folder import open_job_folder, remove_temporary_files
 from .observations import SUBSAMPLES, Observation, ReferenceImage
 from .shard_files import ViewFiles, to_half, write_view_file
 
-FORMAT_VERSION = 7  # A folder written with another version of the files belongs to another bake.
+FORMAT_VERSION = 8  # A folder written with another version of the files belongs to another bake.
 ARRAYS = (
     "known",
     "coverage",
