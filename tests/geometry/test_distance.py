@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from farfield.addon.core.geometry.distance import (
     TriangleTree,
+    bound_hausdorff,
     closest_barycentric,
     closest_on_mesh,
-    one_sided_hausdorff,
     plane_barycentric,
     squared_point_triangle_distances,
 )
@@ -104,13 +104,13 @@ def test_hausdorff_distance_is_found_inside_a_face():
     triangle = np.array([[[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]])
     left, right = triangle - [2.0, 0.0, 0.0], triangle + np.array([2.0, 0.0, 0.0])
     target = np.concatenate([left, right])
-    distance = one_sided_hausdorff(np.array([[[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1e-3, 0.0]]]), target, 1e-3)
+    distance = bound_hausdorff(np.array([[[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1e-3, 0.0]]]), TriangleTree(target), 1e-3)[1]
     assert 1.0 <= distance <= 1.0 + 2e-3
 
 
 def test_hausdorff_distance_of_parallel_sheets_is_their_gap_and_zero_to_itself():
     random = np.random.default_rng(2)
     sheet = random.normal(size=(40, 3, 3)) * [1.0, 1.0, 0.0]
-    assert one_sided_hausdorff(sheet, sheet, 1e-6) <= 1e-6 + 1e-9
-    gap = one_sided_hausdorff(sheet + np.array([0.0, 0.0, 0.25]), sheet, 1e-6)
+    assert bound_hausdorff(sheet, TriangleTree(sheet), 1e-6)[1] <= 1e-6 + 1e-9
+    gap = bound_hausdorff(sheet + np.array([0.0, 0.0, 0.25]), TriangleTree(sheet), 1e-6)[1]
     assert 0.25 <= gap <= 0.25 + 2e-6

@@ -175,15 +175,6 @@ def plane_barycentric(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     return coordinates
 
 
-def one_sided_hausdorff(corners: np.ndarray, target: np.ndarray, tolerance: float, minimum: float = 0.0) -> float:
-    """Return the largest distance of any point of triangles (T, 3, 3) to the triangles `target` (K, 3, 3), at most `tolerance` too large.
-
-    With too many pieces, see `bound_hausdorff`, the result is still an upper bound, but a looser one. Distances below `minimum` are not
-    resolved, and the result is at least `minimum`.
-    """
-    return bound_hausdorff(corners, TriangleTree(target), tolerance, minimum)[1]
-
-
 def bound_hausdorff(
     corners: np.ndarray, target: TriangleTree, tolerance: float, minimum: float = 0.0, max_pieces: int = MAX_PIECES
 ) -> tuple[float, float]:
@@ -211,7 +202,7 @@ def faces_farther_than(corners: np.ndarray, target: np.ndarray, distance: float,
     """Return which of the triangles (T, 3, 3) have a point farther than `distance` from the triangles `target` (K, 3, 3): (T,) bool.
 
     None of them is missed. Triangles within `tolerance` of the distance may be included; so may any that are undecided when there are too
-    many pieces, see `one_sided_hausdorff`.
+    many pieces, see `bound_hausdorff`.
     """
     is_farther = np.zeros(len(corners), bool)
     pieces, face, tree = corners, np.arange(len(corners)), TriangleTree(target)

@@ -13,7 +13,7 @@ from farfield.addon.core.billboards.decimation.reference_mesh import DecimatedMe
 from farfield.addon.core.billboards.decimation.triangle_patches import find_flat_regions
 from farfield.addon.core.billboards.decimation.vertex_fit import fit_vertices
 from farfield.addon.core.billboards.settings import BillboardSettings
-from farfield.addon.core.geometry.distance import closest_on_mesh, one_sided_hausdorff
+from farfield.addon.core.geometry.distance import TriangleTree, bound_hausdorff, closest_on_mesh
 from farfield.addon.core.geometry.edges import find_edges
 from farfield.addon.core.geometry.mesh import TriangleMesh, face_areas_and_normals
 from farfield.addon.core.geometry.tracked_points import TrackedPoints
@@ -62,7 +62,7 @@ def check_bounds(decimated: DecimatedMesh, vertices: np.ndarray, triangles: np.n
     heights = np.einsum("tci,ti->tc", vertices[triangles] - coarse[assignment][:, :1], normals[assignment])
     assert np.abs(heights).max() <= error * (1.0 + 1e-9)
     assert closest_on_mesh(vertices[triangles].reshape(-1, 3), coarse)[0].max() <= error * (1.0 + 1e-9)
-    assert one_sided_hausdorff(vertices[triangles], coarse, 0.001 * error) <= 1.002 * error
+    assert bound_hausdorff(vertices[triangles], TriangleTree(coarse), 0.001 * error)[1] <= 1.002 * error
     areas, fine_normals = face_areas_and_normals(vertices[triangles])
     is_violating = np.einsum("ij,ij->i", fine_normals, normals[assignment]) < np.cos(BOUND)
     assert decimated.normal_violations == is_violating.sum()
