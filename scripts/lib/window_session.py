@@ -14,7 +14,7 @@ import bpy
 from lib.blender_window import PACKAGE
 
 POLL_SECONDS = 0.1
-JOB_TIMEOUT_SECONDS = 120.0
+JOB_TIMEOUT_SECONDS = 300.0
 
 
 def viewport() -> bpy.types.Area:

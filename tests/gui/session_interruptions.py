@@ -19,7 +19,7 @@ from session_unwrap import create_bumpy_ball
 
 from lib import window_session
 
-START_SECONDS, END_SECONDS = 20.0, 90.0
+START_SECONDS, END_SECONDS = 20.0, 180.0
 DEFECTS = "farfield-defect-*"
 
 

@@ -11,7 +11,7 @@ from gui.blender_program import find_launcher
 from lib import blender_window
 
 WINDOW_SIZE = 1400, 1000
-TIMEOUT_SECONDS = 400
+TIMEOUT_SECONDS = 900
 CRASH_CODES = (-signal.SIGSEGV, 128 + signal.SIGSEGV, -signal.SIGABRT, 128 + signal.SIGABRT)
 
 

@@ -228,5 +228,5 @@ def test_small_holes_are_closed_before_they_become_slits():
     is_solid[4:40:8, 4:40:8] = False
     for x, y in ((7, 7), (7, 31), (31, 7), (31, 31)):
         is_solid[x : x + 3, y : y + 3] = False
-    (level,) = simplify(make_part(is_solid, has_texture=False), [300], "optimized")
+    (level,) = simplify(make_part(is_solid, has_texture=False), [400], "optimized")
     assert level.drastic_steps == ("25 tunnels were closed.",)
