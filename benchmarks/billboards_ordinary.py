@@ -25,10 +25,11 @@ from texmesh_assets import GENERATORS, JUDGING, TUNING, open_asset
 
 import billboards
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud
+from farfield.addon.core.billboards.comparison import measure_difference
 from farfield.addon.core.billboards.settings import BillboardSettings, BuildOptions
 from farfield.addon.core.errors import FarfieldError
 from farfield.addon.core.geometry.directions import from_spherical
-from farfield.addon.core.imaging import flip, metrics
+from farfield.addon.core.imaging import metrics
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.operators.job_run import run_job
 from lib import environment, scene_files
@@ -52,7 +53,6 @@ SUN_HEIGHTS = (math.radians(55.0), math.radians(12.0), None)  # None: the sky al
 CHAIN = (4, 8, 16, 32, 64, 128, 256)  # pixels along the longest side
 CHAIN_VIEWS = 8
 MARGIN = 6  # pixels around the object
-FLIP_FLOOR = 1.0 / 255.0
 
 
 @dataclass(frozen=True)
@@ -164,18 +164,11 @@ def _render(
 
 def _score(sources: Sequence[np.ndarray], images: Sequence[np.ndarray]) -> dict[str, float]:
     """Return mean scores, and the smallest overlap of silhouettes."""
-    psnr, flips, overlaps = [], [], []
-    for source, image in zip(sources, images, strict=True):
-        window = metrics.crop_to_object(np.maximum(source[..., 3], image[..., 3]))
-        first, second = metrics.composite_over_gray(source[window]), metrics.composite_over_gray(image[window])
-        psnr.append(metrics.psnr(first, second))
-        difference = flip.compare(flip.prepare_image(first), flip.prepare_image(second))
-        is_object = np.maximum(source[window][..., 3], image[window][..., 3]) > FLIP_FLOOR
-        flips.append(float(difference[is_object].mean()))
-        overlaps.append(metrics.alpha_iou(source[window][..., 3], image[window][..., 3]))
+    difference = measure_difference(sources, images)
+    overlaps = [metrics.alpha_iou(source[..., 3], image[..., 3]) for source, image in zip(sources, images, strict=True)]
     return {
-        "psnr": round(float(np.mean(psnr)), 2),
-        "flip": round(float(np.mean(flips)), 4),
+        "psnr": round(difference.psnr, 2),
+        "flip": round(difference.visible, 4),
         "iou": round(float(np.mean(overlaps)), 4),
         "worst_iou": round(float(np.min(overlaps)), 4),
     }

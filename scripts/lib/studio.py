@@ -26,9 +26,8 @@ MAX_TRANSPARENT_BOUNCES = 256  # transparent surfaces that a ray may pass
 class Studio:
     """Renders selected objects under one light. Created by `open_studio`. work: its scene. sun: the Sun light."""
 
-    def __init__(self, work: RenderScene, objects: Sequence[bpy.types.Object]) -> None:
+    def __init__(self, work: RenderScene) -> None:
         self.work = work
-        self._objects = list(objects)
         self.sun = _add_sun(work)
 
     def set_sun_direction(self, direction: np.ndarray) -> None:
@@ -52,8 +51,7 @@ class Studio:
         `pixel_size` is the side of a pixel in scene units; it is constant, since the camera is orthographic.
         Returns (size, size, 4) float32, scene-linear, premultiplied, row 0 at the bottom.
         """
-        for item in self._objects:
-            item.hide_render = item not in visible
+        self.work.show_only(visible)
         extent = pixel_size * size
         camera, render = self.work.camera, self.work.scene.render
         camera.data.ortho_scale = extent
@@ -72,7 +70,7 @@ def open_studio(objects: Sequence[bpy.types.Object], samples: int) -> Iterator[S
     with render_scene("Farfield Studio") as work, work.show(objects):
         _add_sky(work)
         prepare_cycles(work.scene, samples, MAX_TRANSPARENT_BOUNCES)
-        yield Studio(work, objects)
+        yield Studio(work)
 
 
 def bounding_sphere(objects: Sequence[bpy.types.Object]) -> tuple[np.ndarray, float]:

@@ -35,12 +35,8 @@ def empty(name, location=(0.0, 0.0, 0.0), parent=None):
 
 def collect(name, *objects):
     """Move objects to a new collection of the scene."""
-    collection = bpy.data.collections.new(name)
+    collection = blender_scenes.collect(*objects, name=name)
     bpy.context.scene.collection.children.link(collection)
-    for item in objects:
-        for other in item.users_collection:
-            other.objects.unlink(item)
-        collection.objects.link(item)
     return collection
 
 
@@ -110,7 +106,7 @@ class TestNameAndOrigin:
 
 
 class TestHouse:
-    """Parts with transforms, modifiers and materials of their own, and what is no part."""
+    """Parts with transforms, modifiers and materials of their own, and objects that are no parts."""
 
     @pytest.fixture
     def house(self, tmp_path):

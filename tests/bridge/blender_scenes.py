@@ -62,6 +62,16 @@ def card(name: str = "Card", material: bpy.types.Material | None = None) -> bpy.
     return _finish(name, material)
 
 
+def collect(*objects: bpy.types.Object, name: str = "Collection") -> bpy.types.Collection:
+    """Move `objects` to a new collection, which is not part of the scene."""
+    collection = bpy.data.collections.new(name)
+    for item in objects:
+        for other in item.users_collection:
+            other.objects.unlink(item)
+        collection.objects.link(item)
+    return collection
+
+
 def read_objects(*objects: bpy.types.Object) -> Source:
     """Return the source of `objects`."""
     return read_source(list(objects), bpy.context.evaluated_depsgraph_get())

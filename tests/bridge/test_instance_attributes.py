@@ -20,16 +20,6 @@ def fresh_scene():
     blender_scenes.reset_scene()
 
 
-def collect(*objects):
-    """Return a collection that is not part of the scene, with `objects`."""
-    collection = bpy.data.collections.new("Collection")
-    for item in objects:
-        for other in item.users_collection:
-            other.objects.unlink(item)
-        collection.objects.link(item)
-    return collection
-
-
 def instance_of(collection, location):
     """Add an instance of a collection."""
     item = bpy.data.objects.new("Instance", None)
@@ -52,9 +42,9 @@ def test_attributes_are_those_that_cycles_shows():
     card["tint"] = (1.0, 0.5, 0.125)  # Shown where no instance has one.
     rows = [scatter("Row", card), scatter("Joined Row", card, shining("Square"))]
     rows[1].location.y = 5.0
-    collection = collect(blender_scenes.box("Unrelated"), scatter("Inner Row", card))
+    collection = blender_scenes.collect(blender_scenes.box("Unrelated"), scatter("Inner Row", card))
     collection.objects["Unrelated"].location.z = -50.0
-    rows += [instance_of(collection, (0.0, 10.0, 0.0)), scatter("Row of Collections", collect(card))]
+    rows += [instance_of(collection, (0.0, 10.0, 0.0)), scatter("Row of Collections", blender_scenes.collect(card))]
     rows[-1].location.y = -5.0
     bpy.context.view_layer.update()
     depsgraph = bpy.context.evaluated_depsgraph_get()
@@ -85,7 +75,7 @@ def test_other_instances_have_none():
     faces = blender_scenes.box()
     faces.instance_type = "FACES"
     card.parent = faces
-    owner = instance_of(collect(blender_scenes.ball()), (9.0, 0.0, 0.0))
+    owner = instance_of(blender_scenes.collect(blender_scenes.ball()), (9.0, 0.0, 0.0))
     bpy.context.view_layer.update()
     depsgraph = bpy.context.evaluated_depsgraph_get()
     reader = InstanceAttributes()

@@ -48,7 +48,7 @@ def test_more_work_takes_longer_without_lights_too(changes):
 def test_without_lights_a_bake_is_views_only():
     settings = replace(SETTINGS, model="surface")
     estimated, emission = (estimate_bake([LEVEL], values, 1) for values in (settings, SETTINGS))
-    assert estimated.renders == 3 * settings.view_count
+    assert estimated.renders == 2 * settings.view_count
     assert estimated.final_bytes == 2 * (3 * 1000 + 3 * settings.view_count)
     assert estimated.seconds < emission.seconds
     assert estimated == estimate_bake([LEVEL], replace(settings, lights_per_side=8, components=40, shadows_per_side=30), 1)

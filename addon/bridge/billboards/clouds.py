@@ -71,6 +71,13 @@ def create_level_object(name: str, level: Level, textures: LevelTextures | None,
     return level_object
 
 
+def list_level_data(level_object: bpy.types.Object) -> list[bpy.types.ID]:
+    """Return what `create_level_object` has created: images, material, mesh and object, but not the node groups that clouds share."""
+    material = level_object.data.materials[0]
+    images = dict.fromkeys(node.image for node in material.node_tree.nodes if node.type == "TEX_IMAGE") if material.node_tree else ()
+    return [*images, material, level_object.data, level_object]
+
+
 def write_notes(collection: bpy.types.Collection, notes: Sequence[str]) -> None:
     """Store sentences about a cloud for its panel."""
     if notes:
@@ -80,12 +87,15 @@ def write_notes(collection: bpy.types.Collection, notes: Sequence[str]) -> None:
 def discard_collection(collection: bpy.types.Collection) -> None:
     """Remove a collection that is in no scene, with its levels and their meshes, materials and images, and node groups that nothing else
     uses."""
-    meshes = [level.data for level in collection.objects]
-    materials = [material for mesh in meshes for material in mesh.materials]
-    nodes = [node for material in materials if material.node_tree is not None for node in material.node_tree.nodes]
-    images = {node.image for node in nodes if node.type == "TEX_IMAGE" and node.image is not None}
-    groups = {node.node_tree for node in nodes if node.type == "GROUP"}
-    bpy.data.batch_remove([*collection.objects, collection, *meshes, *materials, *images])
+    owned = [data for level in collection.objects for data in list_level_data(level)]
+    groups = {
+        node.node_tree
+        for data in owned
+        if isinstance(data, bpy.types.Material) and data.node_tree
+        for node in data.node_tree.nodes
+        if node.type == "GROUP"
+    }
+    bpy.data.batch_remove([*owned, collection])
     bpy.data.batch_remove([group for group in groups if group.users == 0])
 
 

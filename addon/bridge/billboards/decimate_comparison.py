@@ -106,7 +106,6 @@ def _render(
 ) -> list[list[np.ndarray]]:
     """Return renders (S, S, 4) from all VIEWS of each of the groups of objects `shown`."""
     center, _ = _bounding_sphere(source)
-    others = [item for item in work.scene.objects if item.type != "CAMERA" and item != sun]
     renders: list[list[np.ndarray]] = [[] for _ in shown]
     for direction, sun_direction in zip(VIEWS, SUNS, strict=True):
         set_camera_view(work.scene, OrthographicView(direction, center, size, pixel_size))
@@ -115,8 +114,7 @@ def _render(
             sun.matrix_world = light_matrix(sun_direction)
         for images, items in zip(renders, shown, strict=True):
             if items:
-                for item in others:
-                    item.hide_render = item not in items
+                work.show_only(items)
                 images.append(work.render())
     return renders
 

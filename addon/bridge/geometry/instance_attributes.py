@@ -27,7 +27,7 @@ class _Instances:
         own_count: number of other parts that it shows, which are numbered first.
         values: (N, width) of each attribute, by name.
         reference_indices: (N,) into references.
-        references: what is instanced: objects, collections and geometries.
+        references: objects, collections and geometries that are instanced.
     """
 
     own_count: int

@@ -75,6 +75,13 @@ class Source:
         return self.points if self.mesh is None else self.mesh
 
     @property
+    def bounding_sphere(self) -> tuple[np.ndarray, float]:
+        """The center (3,) of the bounding box, and the distance of the farthest point from it."""
+        points = self.points.points if self.mesh is None else self.mesh.vertices
+        center = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        return center, float(np.linalg.norm(points - center, axis=1).max())
+
+    @property
     def fingerprint(self) -> str:
         """Digest that shows whether a geometry is the one that a cloud was built from."""
         if self.mesh is None:

@@ -65,6 +65,12 @@ class RenderScene:
             for item, was_hidden in zip(objects, hidden, strict=True):
                 item.hide_render = was_hidden
 
+    def show_only(self, visible: Sequence[bpy.types.Object]) -> None:
+        """Render only `visible` of the objects of the scene; lights stay as they are."""
+        for item in self.scene.collection.objects:
+            if item.type not in {"CAMERA", "LIGHT"}:
+                item.hide_render = item not in visible
+
     def render(self) -> np.ndarray:
         """Render the scene's camera: (height, width, 4) float32, scene-linear, premultiplied, row 0 at the bottom.
 

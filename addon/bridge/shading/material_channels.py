@@ -18,7 +18,6 @@ from .socket_sources import input_value, linked_output
 from .surface_layers import DEFAULT_VALUES, EMISSION, SUMMED_LAYERS, TRANSLUCENCY, TRANSMISSION, LayerValues
 
 CHANNELS = ("color", "normal", "roughness_metallic_depth")
-IRRADIANCE = "Farfield Irradiance"  # Name of the node that shows the irradiance.
 CELL_COORDINATES = "farfield_cell"  # attribute: position in the atlas cell, -1..1 across the rectangle of a quad
 
 
@@ -85,22 +84,8 @@ class CaptureMaterial:
     def emit(self, channel: str) -> None:
         """Emit `channel`, one of CHANNELS or of the layers that the material was built with."""
         builder = NodeBuilder(self.material.node_tree)
-        builder.connect(self.emission.outputs[0], self._shown)
         builder.connect(self.channels.values[channel], self.emission.inputs["Color"])
         builder.connect(self.clear if channel in SEEN_THROUGH_GLASS else self.opaque, self.transparent.inputs["Color"])
-
-    def show_irradiance(self) -> None:
-        """Reflect all light diffusely, instead of emitting a channel."""
-        builder = NodeBuilder(self.material.node_tree)
-        node = self.material.node_tree.nodes.get(IRRADIANCE) or builder.node("ShaderNodeBsdfDiffuse", {"name": IRRADIANCE})
-        builder.connect(self.channels.alpha, node.inputs["Color"])
-        builder.connect(node.outputs[0], self._shown)
-        builder.connect(self.opaque, self.transparent.inputs["Color"])
-
-    @property
-    def _shown(self) -> bpy.types.NodeSocket:
-        """The socket to which the shader is linked that shows a channel."""
-        return self.transparent.outputs[0].links[0].to_node.inputs[0]
 
 
 def build_capture_material(

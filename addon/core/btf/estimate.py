@@ -53,7 +53,7 @@ def estimate_bake(levels: Sequence[LevelExtent], settings: BtfSettings, workers:
     The time is a sum over renders, ID buffers, lookups and compression: known counts times constants that were measured once.
     """
     images_per_view = settings.images_per_view
-    samples_per_view = settings.silhouette_samples + 2 * settings.normal_samples
+    samples_per_view = settings.silhouette_samples + settings.normal_samples
     if settings.bakes_emission:
         samples_per_view = images_per_view * settings.samples
     capture_seconds = compress_seconds = raw_bytes = final_bytes = 0.0

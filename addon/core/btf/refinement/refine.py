@@ -147,7 +147,7 @@ def compute_texel_colors(color: Factors, view: int, chromaticity: np.ndarray, li
 
 def shade(fragments: Fragments, colors: np.ndarray) -> np.ndarray:
     """Return the colors (F, D) float16 of fragments for texels with `colors` (N, D)."""
-    return (lookup_matrix(fragments, len(colors)) @ colors).astype(np.float16)
+    return (_lookup_matrix(fragments, len(colors)) @ colors).astype(np.float16)
 
 
 def cull_hidden(fragments: Fragments, alpha: np.ndarray) -> Fragments:
@@ -168,7 +168,7 @@ class AlphaCompositing:
 
     def __init__(self, view: TrainingView, texel_count: int) -> None:
         self._fragments, reference = view.fragments, view.reference
-        self._lookup = lookup_matrix(view.fragments, texel_count)
+        self._lookup = _lookup_matrix(view.fragments, texel_count)
         self._colors = view.colors.astype(np.float32)
         self._pixels = view.fragments.ray_indices // RAYS_PER_SIDE**2
         self._reference_coverage = reference.coverage.ravel()
@@ -237,7 +237,7 @@ def _pixel_importance(reference: ReferenceImage) -> np.ndarray:
     return 1.0 / local_luminance**LUMINANCE_POWER
 
 
-def lookup_matrix(fragments: Fragments, texel_count: int) -> sparse.csr_array:
+def _lookup_matrix(fragments: Fragments, texel_count: int) -> sparse.csr_array:
     """Return the matrix of the bilinear texture lookup, from values of all texels (N,) to values of fragments (F,)."""
     row_starts = np.arange(0, 4 * len(fragments) + 1, 4, dtype=np.int32)
     matrix = (fragments.weights.ravel(), fragments.texel_indices.ravel(), row_starts)
