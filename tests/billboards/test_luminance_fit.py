@@ -14,6 +14,7 @@ from farfield.addon.bridge.billboards.luminance_fit import fit_luminance
 from farfield.addon.bridge.geometry.mesh_arrays import write_triangles
 from farfield.addon.core.billboards.build import build_cloud
 from farfield.addon.core.billboards.settings import BillboardSettings
+from farfield.addon.core.imaging.colors import LUMINANCE
 from farfield.addon.core.jobs.progress import run_to_end
 from lib.studio import open_studio
 
@@ -58,6 +59,17 @@ def test_crowns_are_as_bright_as_their_source(crown):
     )
     assert (np.abs(after[:, 1] / after[:, 3] - 1.0) < 0.03).all()
     assert np.abs(after - 1.0).sum() < np.abs(before - 1.0).sum()
+
+
+def test_darkened_colors_can_be_restored(crown):
+    source, cloud, textures, item = crown
+    (fitted,) = run_to_end(fit_luminance(source, [item], cloud, textures))
+    near_visibility = fitted.front.near_visibility
+    is_darkened = (near_visibility < 0.97) & (textures[0].front.color[..., 3] > 0.5)
+    before, after = (maps.color[is_darkened] for maps in (textures[0].front, fitted.front))
+    straight = (after[:, :3] @ LUMINANCE) / after[:, 3] / near_visibility[is_darkened]
+    assert is_darkened.sum() > 100
+    np.testing.assert_allclose(straight, (before[:, :3] @ LUMINANCE) / before[:, 3], rtol=0.01)
 
 
 def test_wrong_colors_are_corrected():

@@ -5,7 +5,7 @@ import pytest
 
 from farfield.addon.core.billboards.texels import QuadPolygons, texels_under_quads
 from farfield.addon.core.btf.settings import BtfSettings
-from farfield.addon.core.btf.surface_compression import CONTRAST, PIVOT, TwoSidedTexels, sharpen_alpha
+from farfield.addon.core.btf.surface_compression import TwoSidedTexels
 
 
 @pytest.fixture
@@ -15,9 +15,7 @@ def sides() -> TwoSidedTexels:
     uv = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0]])
     texels = texels_under_quads(QuadPolygons([square, square + 2.0], [uv, uv + [4.0, 0.0]]), (8, 4))
     count = len(texels)
-    return TwoSidedTexels(
-        texels, np.ones((count, 6)), np.zeros((count, 6)), np.ones(count), np.array([False, True]), np.array([False, True])
-    )
+    return TwoSidedTexels(texels, np.ones((count, 6)), np.zeros((count, 6)), np.ones(count), np.array([False, True]))
 
 
 def test_each_viewer_sees_the_side_that_faces_it(sides):
@@ -34,15 +32,9 @@ def test_backs_of_solids_are_not_drawn(sides):
 
 def test_views_are_enough():
     settings = BtfSettings()
-    assert not settings.bakes_emission and settings.images_per_view == 3
+    assert not settings.bakes_emission and settings.images_per_view == 2
     assert settings.shadow_count == 0 and settings.shadow_grid is None
     assert BtfSettings(model="emission").images_per_view == 65
     assert settings.capture_fingerprint == BtfSettings(lights_per_side=3, shadows_per_side=4).capture_fingerprint
     assert settings.capture_fingerprint != BtfSettings(model="emission").capture_fingerprint
     BtfSettings(views_per_side=32, lights_per_side=32, components=64).check_table_size()
-
-
-def test_sharpening_keeps_full_and_empty_texels_and_the_pivot():
-    np.testing.assert_allclose(sharpen_alpha(np.array([-0.5, 0.0, PIVOT, 1.0, 1.7])), [0.0, 0.0, PIVOT, 1.0, 1.0])
-    low, high = sharpen_alpha(np.array([PIVOT - 0.1, PIVOT + 0.1]))
-    assert high - low == pytest.approx(0.2 * CONTRAST)

@@ -45,7 +45,7 @@ def test_the_demo_writes_scenes_sheets_and_report(extension, tmp_path, monkeypat
     assert len(comparison["views"]) == 6
     assert comparison["mean_alpha_iou"] > 0.95
     relighting = report["relighting"]
-    assert relighting["renders"] == 3 * relighting["views"]
+    assert relighting["renders"] == 2 * relighting["views"]
     assert not relighting["upper_hemisphere"], "the mesh of a user may be visible from below"
     assert set(relighting["scores"]) == {"relightable", "PBR maps", "octahedral impostor"}
     assert relighting["scores"]["relightable"]["alpha_iou"] > 0.8

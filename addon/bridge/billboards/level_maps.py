@@ -34,11 +34,14 @@ class PbrMaps:
     normal (H, W, 3): unit, in world axes at the time of capture, on the viewer's side.
     roughness_metallic_depth (H, W, 3): depth is the height above the quad's plane along its normal, -1..1 as a fraction of the level's
     error. This map and `normal` have a value in every texel.
+    near_visibility (H, W): light that reaches the surface in the texel, as a fraction of that which its quad receives; `color`
+    is already multiplied by it. Images store at most 1; None if it is 1 everywhere.
     """
 
     color: np.ndarray
     normal: np.ndarray
     roughness_metallic_depth: np.ndarray
+    near_visibility: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -153,8 +156,9 @@ def _encode_maps(maps: PbrMaps, quads: np.ndarray) -> dict[str, np.ndarray]:
     color = dilate(straight[..., :3], maps.color[..., 3] * (maps.color[..., 3] > MIN_ALPHA), regions=quads)
     parameters = maps.roughness_metallic_depth * np.float32([1.0, 1.0, 0.5]) + np.float32([0.0, 0.0, 0.5])
     opaque = np.ones_like(alpha)
+    near_visibility = opaque if maps.near_visibility is None else np.minimum(maps.near_visibility[..., None], 1.0)
     return {
         COLOR: np.concatenate([encode_srgb(color), alpha], axis=2),
         NORMAL: np.concatenate([0.5 + 0.5 * maps.normal, opaque], axis=2),
-        ROUGHNESS_METALLIC_DEPTH: np.concatenate([parameters, opaque], axis=2),
+        ROUGHNESS_METALLIC_DEPTH: np.concatenate([parameters, near_visibility], axis=2),
     }

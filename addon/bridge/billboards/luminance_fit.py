@@ -22,7 +22,7 @@ from ..geometry.meshes import Source
 from ..rendering.render_scene import RenderScene, prepare_cycles, render_scene
 from ..shading.surface_layers import DEFAULT_LEVEL, SPECULAR
 from .cloud_materials import create_texel_material
-from .clouds import create_level_object
+from .clouds import create_level_object, list_level_data
 from .level_maps import LevelTextures, PbrMaps
 
 VIEW_COUNT = 12
@@ -52,9 +52,8 @@ def fit_luminance(
         work.scene.world = work.add_world(1.0)
         work.scene.cycles.pixel_filter_type = "BOX"
         work.scene.cycles.max_bounces = 1
-        points = source.mesh.vertices
-        center = 0.5 * (points.min(axis=0) + points.max(axis=0))
-        pixel_size = 2.0 * float(np.linalg.norm(points - center, axis=1).max()) / RESOLUTION
+        center, radius = source.bounding_sphere
+        pixel_size = 2.0 * radius / RESOLUTION
         views = [OrthographicView(axis, center, RESOLUTION + 2 * MARGIN, pixel_size) for axis in fibonacci_sphere(VIEW_COUNT)]
         step = 1.0 / (len(textures) + 1)
         wanted = yield from subprogress(_render_views(work, objects, SAMPLES, views), 0.0, step)
@@ -101,8 +100,7 @@ def _add_level(work: RenderScene, level: Level, textures: LevelTextures, origin:
     groups = set(bpy.data.node_groups)
     shown = create_level_object("Farfield Luminance Fit", level, textures, origin)
     material = shown.data.materials[0]
-    images = dict.fromkeys(node.image for node in material.node_tree.nodes if node.type == "TEX_IMAGE")
-    for data in (*set(bpy.data.node_groups).difference(groups), *images, material, shown.data, shown):
+    for data in (*set(bpy.data.node_groups).difference(groups), *list_level_data(shown)):
         work.own(data)
     work.scene.collection.objects.link(shown)
     texels = work.add_object(shown.data)
@@ -116,8 +114,7 @@ def _render_views(
     work: RenderScene, visible: Sequence[bpy.types.Object], samples: int, views: Sequence[OrthographicView]
 ) -> Steps[list[np.ndarray]]:
     """Render only the objects `visible`, which is fastest view after view."""
-    for item in work.scene.collection.objects:
-        item.hide_render = item not in visible
+    work.show_only(visible)
     work.scene.cycles.samples = samples
     renders = []
     for index, view in enumerate(views):
@@ -181,11 +178,15 @@ def _observe(source: np.ndarray, image: np.ndarray, texels: np.ndarray, level: L
 
 
 def _scale(maps: PbrMaps, gains: np.ndarray, opacities: np.ndarray) -> PbrMaps:
-    """Return `maps` with straight colors times `gains` (H, W, 3) and alpha times `opacities` (H, W), both at most 1."""
+    """Return `maps` with straight colors times `gains` (H, W, 3) and alpha times `opacities` (H, W), both at most 1.
+
+    Their product over all rounds is the near visibility.
+    """
     alpha = np.clip(maps.color[..., 3:], 0.0, 1.0)
     color = np.minimum(maps.color[..., :3] * gains, alpha)  # No surface reflects more light than it receives.
     opacities = np.minimum(opacities[..., None], 1.0 / np.maximum(alpha, MIN_ALPHA))
-    return replace(maps, color=np.concatenate([color, alpha], axis=2) * opacities)
+    near_visibility = (1.0 if maps.near_visibility is None else maps.near_visibility) * (gains @ LUMINANCE)
+    return replace(maps, color=np.concatenate([color, alpha], axis=2) * opacities, near_visibility=near_visibility)
 
 
 def _scale_specular(textures: LevelTextures, gain: float) -> LevelTextures:

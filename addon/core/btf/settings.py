@@ -21,8 +21,7 @@ IF_EMISSION = {"model": (EMISSION,)}
 in_directions, in_compression, in_performance = (partial(setting, group=group) for group in ("Directions", "Compression", "Performance"))
 for_emission = partial(setting, group="Emission", used_if=IF_EMISSION)
 for_local_pca = partial(for_emission, used_if=IF_EMISSION | {"codec": ("lpca",)})
-SURFACE_CHANNELS = 3  # renders per view of the model *surface*: color, normal and irradiance
-REFERENCE_CHANNELS = 2  # the first ones, which reference images show
+SURFACE_CHANNELS = 2  # renders per view of the model *surface*: color and normal
 SILHOUETTE_SAMPLES_FACTOR = 4  # color and coverage of a view come from one render, those of the model *emission* from dozens
 MAX_NORMAL_SAMPLES = 4
 MAX_IMAGE_SIDE = 16384  # pixels; limit of graphics cards
@@ -121,7 +120,7 @@ class BtfSettings(EmissionSettings, BakeSettings):
 
     @property
     def images_per_view(self) -> int:
-        """Number of renders per view."""
+        """Number of renders per view that are stored per texel."""
         return self.light_count + 1 if self.bakes_emission else SURFACE_CHANNELS
 
     @property
@@ -131,7 +130,7 @@ class BtfSettings(EmissionSettings, BakeSettings):
 
     @property
     def normal_samples(self) -> int:
-        """Samples per pixel of the normals and the irradiance of a view, for the model *surface*."""
+        """Samples per pixel of the normals of a view, for the model *surface*."""
         return min(self.silhouette_samples, MAX_NORMAL_SAMPLES)
 
     @property

@@ -14,28 +14,24 @@ from .capture.shards import ShardStore
 from .capture.view_data import read_silhouettes
 from .factorization.factors import Factors, factorize_scalar
 from .refinement.training import StoredTrainingView, refine_stored_views
-from .reflectance.near_visibility import fit_near_visibility, receive_light
 from .settings import BtfSettings
 
 SILHOUETTES_END, FACTORS_END = 0.2, 0.9
-CONTRAST, PIVOT = 2.0, 0.4  # Of silhouettes: alpha above the pivot grows, alpha below it shrinks.
 
 
 @dataclass(frozen=True)
 class SurfaceTextures:
     """Compressed textures of a level with N texels, in addition to its PBR maps.
 
-    alpha: factors of the coverage from each view, minus that of the PBR maps. near_visibility (2, N) float32: of fronts and backs; None if
-    the level has no loose quads.
+    alpha: factors of the coverage from each view, minus that of the PBR maps.
     """
 
     alpha: Factors
-    near_visibility: np.ndarray | None = None
 
     @property
     def nbytes(self) -> int:
         """Size as half floats."""
-        return self.alpha.nbytes + (0 if self.near_visibility is None else 2 * self.near_visibility.size)
+        return self.alpha.nbytes
 
 
 @dataclass(frozen=True)
@@ -48,7 +44,6 @@ class TwoSidedTexels:
         back: (N, 6) float32, the same of the back.
         alpha: (N,) coverage in the PBR maps.
         solid: (Q,) bool, the quad shows only the outside of solids, and its back is not drawn.
-        joined: (Q,) bool, the quad is part of a surface that continues on other quads.
     """
 
     texels: Texels
@@ -56,7 +51,6 @@ class TwoSidedTexels:
     back: np.ndarray
     alpha: np.ndarray
     solid: np.ndarray
-    joined: np.ndarray
 
     def faces_viewer(self, direction: np.ndarray) -> np.ndarray:
         """Whether the front of each texel (N,) faces a viewer in `direction` (3,)."""
@@ -69,14 +63,6 @@ class TwoSidedTexels:
     def colors(self, direction: np.ndarray) -> np.ndarray:
         """Return the maps (N, 6) of the side that faces a viewer in `direction` (3,)."""
         return np.where(self.faces_viewer(direction)[:, None], self.front, self.back)
-
-
-def sharpen_alpha(alpha: np.ndarray) -> np.ndarray:
-    """Return the alpha of silhouettes with more contrast, in 0..1.
-
-    Least squares average what they cannot place: leaves would fade into a smooth crown, and cracks would show between joined quads.
-    """
-    return np.clip(CONTRAST * (np.clip(alpha, 0.0, 1.0) - PIVOT) + PIVOT, 0.0, 1.0)
 
 
 class SurfaceCompressor:
@@ -107,31 +93,3 @@ class SurfaceCompressor:
             lambda view: sides.is_drawn(directions[view]),
         )
         return replace(textures, alpha=alpha)
-
-    def fit_near_visibility(self, textures: SurfaceTextures, training_views: list[StoredTrainingView]) -> Steps[SurfaceTextures]:
-        """Return `textures` with the near visibility of loose quads; that of joined ones is 1. Raises FileError."""
-        sides, views, alpha = self._sides, self._views, textures.alpha
-        if sides.joined.all():
-            return textures
-        normals = np.array([2.0 * side[:, 3:] - 1.0 for side in (sides.front, sides.back)])
-
-        def read_source(view: int) -> tuple[np.ndarray, np.ndarray]:
-            visible, irradiance, subsample_counts = self._store.read(view, "visible", "radiance", "subsample_counts")
-            values, counts = np.zeros((2, len(sides.texels)), np.float32)
-            values[visible], counts[visible] = irradiance[0].mean(axis=1), subsample_counts
-            is_front = sides.faces_viewer(views.directions[view])
-            weights = views.solid_angles[view] * counts * np.array([is_front, ~is_front])
-            return values * weights, weights
-
-        def read_cloud(view: int) -> tuple[np.ndarray, np.ndarray]:
-            direction = views.directions[view]
-            fragments = training_views[view].find_fragments()
-            fragments = fragments.subset(sides.is_drawn(direction)[fragments.texel_indices[:, 0]])
-            blocked = np.maximum(sharpen_alpha(sides.alpha + alpha.reconstruct(alpha.basis[view])[:, 0]), sides.alpha)
-            light, weights = receive_light(fragments, blocked)
-            cosines = views.solid_angles[view] * np.maximum(normals @ direction, 0.0)
-            return cosines * light, cosines * weights
-
-        near_visibility = yield from fit_near_visibility(len(views), read_source, read_cloud)
-        near_visibility[:, sides.joined[sides.texels.quad_indices]] = 1.0
-        return replace(textures, near_visibility=near_visibility)

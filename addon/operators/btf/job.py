@@ -34,7 +34,7 @@ from ...core.btf.capture.observations import LOW_ORDER_LIGHTS
 from ...core.btf.capture.shards import ShardLayout, ShardStore
 from ...core.btf.compression import CompressedTextures, LevelCompressor
 from ...core.btf.refinement.training import training_views
-from ...core.btf.settings import REFERENCE_CHANNELS, BtfSettings
+from ...core.btf.settings import SURFACE_CHANNELS, BtfSettings
 from ...core.btf.surface_compression import SurfaceCompressor, SurfaceTextures
 from ...core.errors import FarfieldError, FileError, GeometryError
 from ...core.files.temporary_folders import folder_prefix
@@ -201,8 +201,6 @@ class BakeJob:
             training = training_views(level.quads, texels, level.views, store)
             if settings.refine:
                 textures = yield from subprogress(compressor.refine(textures, training), COMPRESS_END, REFINE_END)
-            if not settings.bakes_emission:
-                textures = yield from subprogress(compressor.fit_near_visibility(textures, training), REFINE_END, 1.0)
             max_depth_complexity = max(view.max_depth_complexity() for view in training)
         component_errors = []
         if settings.bakes_emission:
@@ -289,9 +287,8 @@ def _read_level(level_object: bpy.types.Object, source: meshes.Source, settings:
     texels, quads = read_level_texels(level_object, center), read_level_quads(level_object, center)
     views = btf_capture.build_views(source, settings.view_grid, texels.texel_size)
     spec = LevelCaptureSpec(texels, *clouds.read_drawn_primitives(level_object.data), float(level_object["farfield_error"]))
-    reference_count = LOW_ORDER_LIGHTS if settings.bakes_emission else REFERENCE_CHANNELS
-    image_count = settings.images_per_view if settings.bakes_emission else 1
-    counts = len(texels), image_count, reference_count, views[0].resolution, settings.view_count, settings.shadow_count
+    reference_count = LOW_ORDER_LIGHTS if settings.bakes_emission else SURFACE_CHANNELS
+    counts = len(texels), settings.images_per_view, reference_count, views[0].resolution, settings.view_count, settings.shadow_count
     store = ShardStore(btf_snapshot.store_folder(folder, index), ShardLayout(*counts))
     if settings.bakes_emission:
         surface = btf_clouds.read_texel_surface(level_object, texels)

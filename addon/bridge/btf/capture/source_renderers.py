@@ -96,33 +96,19 @@ class SurfaceRenderer:
 
     def __init__(self, work: RenderScene, source: Source, materials: Sequence[CaptureMaterial], settings: BtfSettings) -> None:
         self.work, self._source, self._materials, self._settings = work, source, materials, settings
-        self._white_world = work.add_world(1.0)
 
     def render_view(self, view: OrthographicView, face_ids: np.ndarray) -> ViewRender:
-        """Render one view. Its images are color, world-space normal, encoded in 0..1, and irradiance; all are premultiplied.
-
-        The irradiance is that of a uniform World, 1 where nothing blocks it.
+        """Render one view. Its images are color and world-space normal, encoded in 0..1; both are premultiplied.
 
         face_ids: of this view, as `ViewRender.face_ids`.
         """
         set_camera_view(self.work.scene, view)
         color = self._render_channel("color", self._settings.silhouette_samples)
         normal = self._render_channel("normal", self._settings.normal_samples)
-        irradiance = self._render_irradiance()
         # Both must be premultiplied by the same coverage, but the one of fewer samples is noisier.
         normal[..., :3] *= color[..., 3:] / np.maximum(normal[..., 3:], 1e-6)
         heights = compute_heights(self._source, view.supersample(ID_BUFFER_SCALE), face_ids)
-        return ViewRender(np.stack([color[..., :3], normal[..., :3], irradiance[..., :3]]), color[..., 3], face_ids, heights)
-
-    def _render_irradiance(self) -> np.ndarray:
-        scene = self.work.scene
-        scene.cycles.samples = self._settings.normal_samples
-        for material in self._materials:
-            material.show_irradiance()
-        scene.world = self._white_world
-        render = self.work.render()
-        scene.world = None
-        return render
+        return ViewRender(np.stack([color[..., :3], normal[..., :3]]), color[..., 3], face_ids, heights)
 
     def _render_channel(self, channel: str, samples: int) -> np.ndarray:
         self.work.scene.cycles.samples = samples
@@ -208,10 +194,7 @@ def open_surface_renderer(source: Source, settings: BtfSettings, threads: int) -
 
 def build_views(source: Source, grid: DirectionGrid, pixel_size: float) -> list[OrthographicView]:
     """Return one view per direction of `grid` that contains the whole source. pixel_size: a length."""
-    points = source.mesh.vertices if source.mesh is not None else source.points.points
-    low, high = points.min(axis=0), points.max(axis=0)
-    center = 0.5 * (low + high)
-    radius = float(np.linalg.norm(points - center, axis=1).max())
+    center, radius = source.bounding_sphere
     return [OrthographicView(direction, center, image_resolution(radius, pixel_size), pixel_size) for direction in grid.directions]
 
 

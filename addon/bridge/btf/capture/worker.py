@@ -3,7 +3,7 @@
 import argparse
 import os
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,6 @@ import numpy as np
 from ....core.btf.capture.capture_spec import LevelCaptureSpec
 from ....core.btf.capture.observations import (
     ID_BUFFER_SCALE,
-    ReferenceImage,
     ViewRender,
     compute_reference_image,
     low_order_lights,
@@ -20,7 +19,6 @@ from ....core.btf.capture.observations import (
 )
 from ....core.btf.capture.shard_files import encode_visibility
 from ....core.btf.capture.shards import ShardStore
-from ....core.btf.settings import REFERENCE_CHANNELS
 from ....core.errors import FarfieldError
 from ....core.geometry.cameras import OrthographicView
 from ....core.jobs.core_worker import EXIT_ERROR, encode_error
@@ -125,11 +123,11 @@ def _capture_surface_views(
     """Capture the material channels of all views, for the model *surface*."""
     source, settings = snapshot.source, snapshot.settings
     with open_surface_renderer(source, settings, threads) as renderer:
-        for job, (_, seconds) in zip(jobs, visibility_and_seconds, strict=True):
+        for job, (visibility, seconds) in zip(jobs, visibility_and_seconds, strict=True):
             start = renderer.work.render_seconds
             render = renderer.render_view(job.view, job.read_face_ids())
             seconds += renderer.work.render_seconds - start
-            job.write_surface(render, seconds)
+            job.write(render, np.eye(len(render.radiance), dtype=np.float32), visibility, seconds)
 
 
 @dataclass(frozen=True)
@@ -158,10 +156,3 @@ class _ViewJob:
         """Write the finished view. reference_weights (L, M): of the images of `render` in the colors of the reference image."""
         observation = observe(self.spec.texels, self.view, render, self.spec.quad_faces, self.spec.error)
         self.store.write(self.index, observation, compute_reference_image(render, reference_weights), visibility, seconds)
-
-    def write_surface(self, render: ViewRender, seconds: float) -> None:
-        """Write the finished view of the model *surface*: its texels show the irradiance, its reference image color and normal."""
-        reference = ReferenceImage(render.radiance[:REFERENCE_CHANNELS], render.coverage)
-        irradiance = replace(render, radiance=render.radiance[REFERENCE_CHANNELS:])
-        observation = observe(self.spec.texels, self.view, irradiance, self.spec.quad_faces, self.spec.error)
-        self.store.write(self.index, observation, reference, [], seconds)

@@ -14,9 +14,9 @@ from ....core.errors import GeometryError
 from ....core.imaging.metrics import decode_srgb
 from ...billboards.cloud_materials import (
     COLOR,
-    JOINED_ATTRIBUTE,
     MAPS,
     NORMAL,
+    ROUGHNESS_METALLIC_DEPTH,
     SHADOWLESS_DISTANCE,
     SIDES,
     SOLID_ATTRIBUTE,
@@ -30,9 +30,11 @@ from ...shading.shared_parameters import Value
 from ...shading.surface_layers import TRANSLUCENCY, TRANSMISSION
 from ..materials.emission_material import LAYOUT, VERSION
 from ..materials.nodes.parallax_nodes import write_texel_axes
-from ..materials.surface_material import NEAR_VISIBILITY, SurfaceImages, build_surface_material
-from ..materials.texture_images import create_color_image, create_half_float_image, create_weight_images
+from ..materials.surface_material import SurfaceImages, build_surface_material
+from ..materials.texture_images import create_half_float_image, create_weight_images
 from .emission_levels import remove_suns, replace_pbr_material
+
+MIN_NEAR_VISIBILITY = 0.02  # Darker colors are not divided by it: 8 bits hold nothing of them.
 
 
 def check_maps(level_object: bpy.types.Object) -> None:
@@ -56,8 +58,11 @@ def read_two_sided_texels(level_object: bpy.types.Object, texels: Texels) -> Two
 
     def read_side(side: str) -> np.ndarray:
         color, normal = (read_pixels(images[side, name])[rows, columns, :3] for name in (COLOR, NORMAL))
-        # The views of the source show the whole color, also that of the light which leaves and glass let through.
-        color_sum = decode_srgb(color) + sum(read_layer_pixels(layer, side)[rows, columns] for layer in layers if layer.images)
+        near_visibility = np.maximum(read_pixels(images[side, ROUGHNESS_METALLIC_DEPTH])[rows, columns, 3], MIN_NEAR_VISIBILITY)
+        # The views of the source show the color itself, and also that of the light which leaves and glass let through.
+        color_sum = decode_srgb(color) / near_visibility[:, None] + sum(
+            read_layer_pixels(layer, side)[rows, columns] for layer in layers if layer.images
+        )
         color_sum += sum(read_layer_pixels(layer, side)[0, 0] for layer in layers if not layer.images)
         return np.column_stack([color_sum, normal]).astype(np.float32)
 
@@ -65,7 +70,7 @@ def read_two_sided_texels(level_object: bpy.types.Object, texels: Texels) -> Two
         texels,
         *map(read_side, SIDES),
         read_pbr_alpha(level_object, texels),
-        *(read_quad_flags(level_object, name) for name in (SOLID_ATTRIBUTE, JOINED_ATTRIBUTE)),
+        read_quad_flags(level_object, SOLID_ATTRIBUTE),
     )
 
 
@@ -88,21 +93,12 @@ def assign_surface_material(
         alpha_basis=create_half_float_image(f"{name} Alpha", table.image),
         alpha=table,
         upper=views.upper,
-        near_visibility=_create_visibility_image(f"{name} {NEAR_VISIBILITY}", textures.near_visibility, texels),
         layers=read_layers(level_object),
     )
     material = build_surface_material(name, images, _shadowless_distance(level_object, error), parameters)
     material[LAYOUT] = {"version": VERSION, "model": settings.model, "views_per_side": views.size, "views_upper": int(views.upper)}
     replace_pbr_material(level_object, material)
     apply_to_materials(level_object)
-
-
-def _create_visibility_image(name: str, near_visibility: np.ndarray | None, texels: Texels) -> bpy.types.Image | None:
-    """Create the image of the near visibility (2, N), red for fronts and green for backs; None without it."""
-    if near_visibility is None:
-        return None
-    known = texels.to_image(np.ones((len(texels), 1), np.float32))[..., 0]
-    return create_color_image(name, np.column_stack([*near_visibility, np.ones(len(texels), np.float32)]), None, texels, known)
 
 
 def _pbr_images(level_object: bpy.types.Object) -> dict[tuple[str, str], bpy.types.Image | None]:

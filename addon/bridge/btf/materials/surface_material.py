@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import bpy
 
-from ....core.btf.surface_compression import CONTRAST, PIVOT
 from ....core.btf.tables import ViewTable
 from ...billboards.cloud_materials import (
     COLOR,
@@ -29,15 +28,14 @@ from ...billboards.cloud_materials import (
 )
 from ...shading.node_builder import NodeBuilder, SocketOrValue, create_group
 from ...shading.shared_parameters import Value, write_parameters
-from ...shading.surface_layers import TRANSLUCENCY
 from .emission_material import ALPHA_BASIS, ALPHA_WEIGHTS
 from .nodes.parallax_nodes import depth_uv
-from .nodes.table_nodes import map_uv, sample_image, sample_weights, weighted_scalar_sum
+from .nodes.table_nodes import map_uv, sample_weights, weighted_scalar_sum
 
 SHADOW_RAYS_LEAVE = "Shadow Rays Leave"  # Input of the group: 1 if shadow rays start at the shaded point, 0 if they start at the light.
-NEAR_VISIBILITY = "Near Visibility"  # Label of its node.
 LIGHT_COVERAGE = "Light Coverage"  # Input of the group: 0 to 1, see `_light_alpha`.
-DEFAULT_LIGHT_COVERAGE = 1.0  # The near visibility is fitted to this value.
+DEFAULT_LIGHT_COVERAGE = 1.0
+CONTRAST, PIVOT = 2.0, 0.4  # For silhouettes: alpha above the pivot grows, alpha below it shrinks.
 SHARPNESS = 2.0  # Factor of the alpha of joined quads for light: two that meet with half coverage each let none through.
 
 
@@ -51,7 +49,6 @@ class SurfaceImages:
         alpha_basis: Image of the lookup table `alpha`.
         alpha: Lookup table by view.
         upper: Whether its views are in the hemi-octahedral map.
-        near_visibility: Light that reaches the surfaces, red for fronts and green for backs, see `near_visibility`; None if it is 1.
         layers: Other layers of the PBR maps by name, see `surface_layers`.
     """
 
@@ -60,7 +57,6 @@ class SurfaceImages:
     alpha_basis: bpy.types.Image
     alpha: ViewTable
     upper: bool
-    near_visibility: bpy.types.Image | None
     layers: Mapping[str, ShownLayer]
 
 
@@ -99,11 +95,6 @@ def _fill_group(builder: NodeBuilder, images: SurfaceImages, shadowless_distance
     alpha = builder.math("MULTIPLY", alpha, _casts_shadow(builder, is_solid, is_backfacing, arriving_shadow_ray))
     maps = _visible_maps(builder, images, incoming, is_backfacing)
     layers = {name: _visible_layer(builder, name, layer, is_backfacing) for name, layer in images.layers.items()}
-    if images.near_visibility is not None:
-        front, back, _ = builder.separate_color(sample_image(builder, images.near_visibility, NEAR_VISIBILITY)[0])
-        maps[COLOR] = builder.vector("SCALE", maps[COLOR], builder.mix(is_backfacing, front, back))
-        if TRANSLUCENCY in layers:  # Its light comes from behind.
-            layers[TRANSLUCENCY] = builder.vector("SCALE", layers[TRANSLUCENCY], builder.mix(is_backfacing, back, front))
     shader = add_quad_shader(builder, maps, alpha, shadowless_distance, is_backfacing)
     write_parameters(shader, parameters)
     surface = add_layers(builder, shader, layers, {name: layer.scale for name, layer in images.layers.items()})
@@ -165,7 +156,11 @@ def _light_alpha(
 
 
 def _decode_alpha(builder: NodeBuilder, images: SurfaceImages, viewer: SocketOrValue) -> tuple[SocketOrValue, SocketOrValue]:
-    """Return the alpha in 0..1 of the silhouette from `viewer`, see `sharpen_alpha`, and the alpha of the PBR map."""
+    """Return the alpha in 0..1 of the silhouette from `viewer`, the sum over its components plus the alpha of the PBR map, and the latter.
+
+    The silhouette gets more contrast. Least squares average what they cannot place: leaves would fade into a smooth crown, and cracks would
+    show between joined quads.
+    """
     front = images.maps[SIDES[0], COLOR]
     weights = sample_weights(builder, list(images.alpha_weights), ALPHA_WEIGHTS, front.size[1])
     view = map_uv(builder, images.upper, viewer)
