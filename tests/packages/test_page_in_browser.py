@@ -127,10 +127,10 @@ def test_something_is_shown_soon_and_all_within_limit(page, tmp_path):
             assert page.messages == []
             deviations.append(page.evaluate("farfield.loader.measures.deviation ?? 1e9"))
             fractions.append(page.evaluate("farfield.session.firstImage ?? 1e9") / (manifest.time_limit + deviations[-1]))
-            if min(fractions) < 1.0 and min(map(abs, deviations)) <= 0.2:
+            if min(fractions) <= 0.7 and min(map(abs, deviations)) <= 0.2:
                 break
     print(f"first image after {fractions} of the time, deviation {deviations} s")
-    assert min(fractions) < 1.0
+    assert min(fractions) <= 0.7
     assert -0.5 <= min(deviations, key=abs) <= 0.2
     assert page.evaluate("farfield.loader.shown") > 0
     assert all(request.startswith((url, "data:")) for request in page.requests)
