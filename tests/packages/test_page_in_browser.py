@@ -39,8 +39,9 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(find_chromium() is None, reason=f"THE PAGE WAS NOT TESTED IN A BROWSER: it {SKIP_REASON}"),
 ]
-LINE = ConnectionRate(((1.0, 250_000.0),), latency=0.02)  # 2 Mbit/s
-TRIES = 6  # Times are measured so often: the machine does other work meanwhile.
+LINE = ConnectionRate(((1.0, 80_000.0),), latency=0.02)  # Slow: on a busy machine, the first drawing alone may take 2 seconds.
+TIME_LIMIT = 4.5  # seconds
+TRIES = 3  # Times are measured so often: the machine does other work meanwhile.
 FINISHED = "window.farfield?.isFinished"
 STATUS = "document.getElementById('status')?.textContent"
 MISSING = "(({ bytes, total }) => total - bytes)(farfield.loader.measures)"
@@ -117,7 +118,7 @@ def to_srgb(values: np.ndarray) -> np.ndarray:
 def test_something_is_shown_soon_and_all_within_limit(page, tmp_path):
     random = np.random.default_rng(3)
     image = painted_image(1100, 900, 2) + random.normal(0.0, 25.0, (900, 1100, 3))
-    manifest = write_textured_package(tmp_path, torus(96, 48), [image.clip(0, 255).astype(np.uint8)], time_limit=1.5)
+    manifest = write_textured_package(tmp_path, torus(96, 48), [image.clip(0, 255).astype(np.uint8)], time_limit=TIME_LIMIT)
     assert manifest.files[TEXTURES][0] > 1.2 * manifest.time_limit * LINE.rate_at(0.0)
     fractions, deviations = [], []
     with run_server(tmp_path, connection=LINE) as url:
@@ -125,13 +126,12 @@ def test_something_is_shown_soon_and_all_within_limit(page, tmp_path):
             page.open(url)
             page.wait_for(FINISHED)
             assert page.messages == []
-            deviations.append(page.evaluate("farfield.loader.measures.deviation ?? 1e9"))
-            fractions.append(page.evaluate("farfield.session.firstImage ?? 1e9") / (manifest.time_limit + deviations[-1]))
-            if min(fractions) <= 0.7 and min(map(abs, deviations)) <= 0.2:
+            deviations.append(page.evaluate("farfield.loader.measures.deviation ?? 1e9") / manifest.time_limit)
+            fractions.append(page.evaluate("farfield.session.firstImage ?? 1e9") / manifest.time_limit)
+            if fractions[-1] <= 0.7 and abs(deviations[-1]) <= 0.2:
                 break
-    print(f"first image after {fractions} of the time, deviation {deviations} s")
-    assert min(fractions) <= 0.7
-    assert -0.5 <= min(deviations, key=abs) <= 0.2
+    print(f"first image after {fractions} of the time, deviation {deviations} of it")
+    assert min(fractions) <= 0.7 and min(map(abs, deviations)) <= 0.2
     assert page.evaluate("farfield.loader.shown") > 0
     assert all(request.startswith((url, "data:")) for request in page.requests)
 

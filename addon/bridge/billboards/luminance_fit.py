@@ -26,10 +26,11 @@ from .clouds import create_level_object, list_level_data
 from .level_maps import LevelTextures, PbrMaps
 
 VIEW_COUNT = 12
+FIRST_VIEWS_STEP = 3  # Every third of these views decides whether a level is fitted.
 RESOLUTION = 96  # pixels along the diagonal
 SAMPLES = 2
 MAX_ROUNDS = 3
-MAX_DEVIATION = 0.03  # A level whose luminance was within this is not compared again.
+MAX_DEVIATION = 0.03  # A level whose luminance was within this is not corrected, or not compared again.
 MAX_TRANSPARENT_BOUNCES = 256
 MIN_ALPHA = 0.05  # Colors of pixels with less are not compared.
 MIN_OVERLAP = 0.5  # With less overlap of both silhouettes, the objects have changed since they were read.
@@ -55,12 +56,55 @@ def fit_luminance(
         center, radius = source.bounding_sphere
         pixel_size = 2.0 * radius / RESOLUTION
         views = [OrthographicView(axis, center, RESOLUTION + 2 * MARGIN, pixel_size) for axis in fibonacci_sphere(VIEW_COUNT)]
-        step = 1.0 / (len(textures) + 1)
-        wanted = yield from subprogress(_render_views(work, objects, SAMPLES, views), 0.0, step)
-        for index, level in enumerate(cloud.levels):
-            steps = _fit_level(work, level, textures[index], source.origin, views, wanted)
-            textures[index] = yield from subprogress(steps, step * (index + 1), step * (index + 2))
+        steps = _find_deviating(work, cloud, textures, source.origin, objects, views[::FIRST_VIEWS_STEP])
+        deviating = yield from subprogress(steps, 0.0, 0.3)
+        if not deviating:
+            return textures
+        wanted = yield from subprogress(_render_views(work, objects, SAMPLES, views), 0.3, 0.4)
+        step = 0.6 / len(deviating)
+        for index, level in enumerate(deviating):
+            steps = _fit_level(work, cloud.levels[level], textures[level], source.origin, views, wanted)
+            textures[level] = yield from subprogress(steps, 0.4 + step * index, 0.4 + step * (index + 1))
     return textures
+
+
+def _find_deviating(
+    work: RenderScene,
+    cloud: Cloud,
+    textures: Sequence[LevelTextures],
+    origin: np.ndarray,
+    objects: Sequence[bpy.types.Object],
+    views: Sequence[OrthographicView],
+) -> Steps[list[int]]:
+    """Return the indices of the levels whose luminance or coverage differs from that of `objects` in one of the few `views`.
+
+    There are none if these are other objects than those that the cloud was built from.
+    """
+    step = 1.0 / (len(textures) + 1)
+    wanted = yield from subprogress(_render_views(work, objects, SAMPLES, views), 0.0, step)
+    deviating = []
+    for index, level in enumerate(cloud.levels):
+        shown, _ = _add_level(work, level, textures[index], origin)
+        renders = yield from subprogress(_render_views(work, [shown], SAMPLES, views), step * (index + 1), step * (index + 2))
+        pairs = list(zip(wanted, renders, strict=True))
+        if not all(_overlap(*pair) for pair in pairs):
+            return []
+        if any(_deviates(*pair) for pair in pairs):
+            deviating.append(index)
+    return deviating
+
+
+def _overlap(source: np.ndarray, image: np.ndarray) -> bool:
+    """Return whether two renders (H, W, 4) may show the same objects."""
+    return np.minimum(source[..., 3], image[..., 3]).sum() >= MIN_OVERLAP * np.maximum(source[..., 3], image[..., 3]).sum()
+
+
+def _deviates(source: np.ndarray, image: np.ndarray) -> bool:
+    """Return whether the luminance, where both renders (H, W, 4) show something, or the coverage differs visibly."""
+    is_inside = np.minimum(source[..., 3], image[..., 3]) > 1.0 - MIN_ALPHA
+    luminances = [render[is_inside][:, :3].sum(axis=0) @ LUMINANCE for render in (source, image)]
+    coverages = [render[..., 3].sum() for render in (source, image)]
+    return any(abs(shown - wanted) > MAX_DEVIATION * wanted for wanted, shown in (luminances, coverages))
 
 
 def _fit_level(
@@ -75,13 +119,13 @@ def _fit_level(
     quads = level.atlas.quad_map
     is_loose = ~level.joined & [chart is None for chart in level.charts]
     is_thinned = np.append(is_loose, False)[quads]  # A surface that continues must not get holes.
+    step = 1.0 / (MAX_ROUNDS + 1)
     for index in range(MAX_ROUNDS):
         shown, texels = _add_level(work, level, textures, origin)
-        renders = yield from subprogress(_render_views(work, [shown], SAMPLES, views), index / MAX_ROUNDS, (index + 0.9) / MAX_ROUNDS)
-        ids = yield from subprogress(_render_views(work, [texels], 1, views), (index + 0.9) / MAX_ROUNDS, (index + 1) / MAX_ROUNDS)
+        if index == 0:
+            ids = yield from subprogress(_render_views(work, [texels], 1, views), 0.0, step)
+        renders = yield from subprogress(_render_views(work, [shown], SAMPLES, views), step * (index + 1), step * (index + 2))
         pixels = [_observe(*images, level) for images in zip(wanted, renders, ids, strict=True)]
-        if any(seen is None for seen in pixels):
-            break
         seen = Observations(*(np.concatenate(values) for values in zip(*pixels, strict=True)))
         gain, balance = seen.compare_luminance()
         sides = []
@@ -164,11 +208,8 @@ class Observations(NamedTuple):
         return gain, np.clip(wanted / np.maximum(shown * gain, TINY), MIN_BALANCE, 1.0 / MIN_BALANCE).astype(np.float32)
 
 
-def _observe(source: np.ndarray, image: np.ndarray, texels: np.ndarray, level: Level) -> Observations | None:
-    """Return what the renders (H, W, 4) of the source, of the level and of its texels show; None if these are different objects."""
-    overlap = np.minimum(source[..., 3], image[..., 3]).sum()
-    if overlap < MIN_OVERLAP * np.maximum(source[..., 3], image[..., 3]).sum():
-        return None
+def _observe(source: np.ndarray, image: np.ndarray, texels: np.ndarray, level: Level) -> Observations:
+    """Return what the renders (H, W, 4) of the source, of the level and of its texels show."""
     is_seen, size = texels[..., 2] > 0.5, level.atlas.size
     coordinates = texels[is_seen]
     column, row = (np.clip((coordinates[:, axis] * size[axis]).astype(np.int64), 0, size[axis] - 1) for axis in (0, 1))
