@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import billboards_models
 import bpy
 import numpy as np
 from texmesh_assets import GENERATORS, JUDGING, TUNING, open_asset
@@ -46,8 +47,9 @@ FILES = {
     "leafy_tree": "trees/leafy_tree.glb",
     "pine_tree": "trees/pine_tree.glb",
     "tree": "trees/tree.glb",
+    "sceaux": "sceaux/mesh_15k.ply",
 }
-MODELS = [*FILES, *TUNING, *JUDGING, *GENERATORS]
+MODELS = [*FILES, *TUNING, *JUDGING, *GENERATORS, *billboards_models.GENERATORS]
 VIEWS, SAMPLES, IMPOSTOR_SAMPLES = 12, 32, 8
 SUN_HEIGHTS = (math.radians(55.0), math.radians(12.0), None)  # None: the sky alone
 CHAIN = (4, 8, 16, 32, 64, 128, 256)  # pixels along the longest side
@@ -100,6 +102,12 @@ def _measure(name: str, random: np.random.Generator, given: Namespace) -> dict[s
 
 def _open(name: str, seed: int) -> list[bpy.types.Object]:
     """Replace the scene by a model and return its objects."""
+    if name in billboards_models.GENERATORS:
+        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+        index = list(billboards_models.GENERATORS).index(name)
+        objects = billboards_models.GENERATORS[name](np.random.default_rng([seed, index]))
+        bpy.context.view_layer.update()
+        return objects
     if name not in FILES:
         return open_asset(DATA, name, seed)
     scene_files.open_scene(DATA / FILES[name])

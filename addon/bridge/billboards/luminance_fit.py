@@ -1,6 +1,7 @@
 """Fit of the luminance and coverage of a cloud to its source: both are rendered under a uniform sky from some directions.
 
-See `luminance_gains`. Gains scale the color, but neither gloss nor what neighbors reflect; so levels that were far off are compared again.
+See `luminance_gains`. Gains of texels follow the noise of the renders, and scale the color, but neither gloss nor what neighbors reflect.
+Both leave levels too bright, so those that were far off are rendered again, and scaled by one factor.
 """
 
 from collections.abc import Sequence
@@ -29,7 +30,7 @@ VIEW_COUNT = 12
 FIRST_VIEWS_STEP = 3  # Every third of these views decides whether a level is fitted.
 RESOLUTION = 96  # pixels along the diagonal
 SAMPLES = 2
-MAX_ROUNDS = 3
+ROUNDS = 2
 MAX_DEVIATION = 0.03  # A level whose luminance was within this is not corrected, or not compared again.
 MAX_TRANSPARENT_BOUNCES = 256
 MIN_ALPHA = 0.05  # Colors of pixels with less are not compared.
@@ -119,8 +120,8 @@ def _fit_level(
     quads = level.atlas.quad_map
     is_loose = ~level.joined & [chart is None for chart in level.charts]
     is_thinned = np.append(is_loose, False)[quads]  # A surface that continues must not get holes.
-    step = 1.0 / (MAX_ROUNDS + 1)
-    for index in range(MAX_ROUNDS):
+    step = 1.0 / (ROUNDS + 1)
+    for index in range(ROUNDS):
         shown, texels = _add_level(work, level, textures, origin)
         if index == 0:
             ids = yield from subprogress(_render_views(work, [texels], 1, views), 0.0, step)
@@ -130,9 +131,12 @@ def _fit_level(
         gain, balance = seen.compare_luminance()
         sides = []
         for maps, is_side in ((textures.front, ~seen.is_back), (textures.back, seen.is_back)):
-            gains = compute_gains(seen.texel[is_side], *seen.luminances(is_side), quads)
-            opacities = compute_gains(seen.texel[is_side], seen.source_alpha[is_side], seen.alpha[is_side], quads)
-            sides.append(_scale(maps, gains[..., None] * balance, np.where(is_thinned, opacities, 1.0)))
+            if index == 0:
+                gains = compute_gains(seen.texel[is_side], *seen.luminances(is_side), quads)
+                opacities = compute_gains(seen.texel[is_side], seen.source_alpha[is_side], seen.alpha[is_side], quads)
+                sides.append(_scale(maps, gains[..., None] * balance, np.where(is_thinned, opacities, 1.0)))
+            else:
+                sides.append(_scale(maps, gain * balance * np.ones((*quads.shape, 1), np.float32), np.ones(quads.shape, np.float32)))
         textures = _scale_specular(replace(textures, front=sides[0], back=sides[1]), gain)
         if abs(gain - 1.0) <= MAX_DEVIATION:
             break

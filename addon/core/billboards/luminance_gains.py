@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import find_objects, gaussian_filter
 
 BLUR = 6.0  # texels
-PRIOR = 30.0  # Observations that the mean of a quad, and that of the level, count as.
+PRIOR = 100.0  # Observations that the mean of a quad, and that of the level, count as.
 TOLERANCE = 0.02  # Deviations of the luminance that are noise.
 MIN_GAIN, MAX_GAIN = 0.2, 1.5
 
