@@ -86,10 +86,10 @@ def build_colonnade(generator: np.random.Generator) -> list[bpy.types.Object]:
         builder.box((x, y, 0.1), (3.0 * radius, 3.0 * radius, 0.2))
         builder.rod((x, y, 0.2), (x, y, height), (radius, 0.85 * radius), 24)
         builder.rod((x, y, height), (x, y, height + 0.2), (0.85 * radius, 1.5 * radius), 24)
-    for one, other in pairwise(places):
+    for index, (one, other) in enumerate(pairwise(places)):
         center, span = (one + other) / 2.0, other - one
         length = float(np.hypot(*span)) + radius
-        builder.box((*center, height + 0.35), (length, 3.4 * radius, 0.3), angle=math.atan2(span[1], span[0]))
+        builder.box((*center, height + 0.35 + 0.01 * (index % 2)), (length, 3.4 * radius, 0.3), angle=math.atan2(span[1], span[0]))
     return [builder.add_object("Colonnade", [_material("Stone", generator, (0.65, 0.6, 0.52), Roughness=0.8)])]
 
 

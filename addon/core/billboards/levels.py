@@ -9,6 +9,7 @@ from ..jobs.progress import StageClock, Steps, subprogress
 from . import methods
 from .atlas import pack
 from .cloud import RECTANGLE, Level
+from .clustering.crossings import add_crossings
 from .clustering.patches import Covering, Patch, extend_overlaps, to_quads
 from .clustering.rectangles import compute_bounds
 from .parts.part_meshes import Part
@@ -57,12 +58,16 @@ class LevelBuilder:
         errors = [error * (1.0 - ROUNDING_MARGIN) for error in self._errors(relative_error, count)]
         method = METHODS[self.settings.method]
         steps = method(primitives, components, errors, self.settings, self.clock, finished, reference_area)
-        if not self.settings.meshes_parts:
+        if self.settings.method != "clusters" or self.settings.keeps_all_levels:
             return (yield from steps)
-        coverings = yield from subprogress(steps, 0.0, PARTS_PROGRESS)
         start = len(finished)
-        meshing = self._mesh_parts(primitives, components, coverings[start:], errors[start:])
-        return [*finished, *(yield from subprogress(meshing, PARTS_PROGRESS, 1.0))]
+        coverings = (yield from subprogress(steps, 0.0, PARTS_PROGRESS))[start:]
+        if self.settings.meshes_parts:
+            coverings = yield from subprogress(self._mesh_parts(primitives, components, coverings, errors[start:]), PARTS_PROGRESS, 1.0)
+        if primitives.corners.shape[1] == 3:
+            with self.clock.stage("crossings"):
+                coverings = [add_crossings(primitives, components.sheets, *level) for level in zip(coverings, errors[start:], strict=True)]
+        return [*finished, *coverings]
 
     def _mesh_parts(
         self, primitives: Primitives, components: Components, coverings: list[Covering], errors: list[float]
@@ -94,7 +99,7 @@ class LevelBuilder:
         """
         with self.clock.stage("pack"):
             return [
-                _build_level(primitives, covering, components, error, self.settings)
+                build_level(primitives, covering, components, error, self.settings)
                 for covering, error in zip(coverings, self._errors(relative_error, len(coverings)), strict=True)
             ]
 
@@ -103,7 +108,7 @@ class LevelBuilder:
         return [relative_error * self.longest_side * 2.0**level for level in range(count)]
 
 
-def _build_level(primitives: Primitives, covering: Covering, components: Components, error: float, settings: BillboardSettings) -> Level:
+def build_level(primitives: Primitives, covering: Covering, components: Components, error: float, settings: BillboardSettings) -> Level:
     """Build quads, atlas and cutouts of one level."""
     shared = find_shared_surfaces(components, covering.owner)
     covering = extend_overlaps(primitives, covering, shared, OVERLAP_MARGIN * error)
@@ -112,7 +117,7 @@ def _build_level(primitives: Primitives, covering: Covering, components: Compone
     cutouts = [
         _compute_cutout(primitives, patch, texel_size, settings.cutout_corners, MIN_CUT_AREA * error**2) for patch in covering.patches
     ]
-    joined = np.array([not patch.is_fixed and bool(shared[patch.drawn].any()) for patch in covering.patches])
+    joined = np.array([patch.is_crossed or (not patch.is_fixed and bool(shared[patch.drawn].any())) for patch in covering.patches])
     solid = np.array([_hides_back(primitives, components, patch, settings) for patch in covering.patches])
     charts = [patch.chart for patch in covering.patches]
     return Level(error, texel_size, quads, pack(quads.half_sizes, texel_size), cutouts, joined, solid, charts)

@@ -22,6 +22,7 @@ class Patch:
         region: (R,) primitives that it could show within its bounds.
         outline: (C, 2) polygon in the rectangle, in -1..1 of its half sizes, if the method determines it; otherwise None.
         chart: The part of a mesh that is shown in its place, if any.
+        is_crossed: It crosses another patch that shows the same, so that they must not shade each other.
     """
 
     normal: np.ndarray
@@ -32,6 +33,7 @@ class Patch:
     region: np.ndarray
     outline: np.ndarray | None = None
     chart: Chart | None = None
+    is_crossed: bool = False
 
     @property
     def is_fixed(self) -> bool:
