@@ -50,10 +50,10 @@ def use_memory_disk() -> None:
 def use_bytecode_folder() -> Iterator[None]:
     """Where Python may write no compiled modules next to the modules, keep them in the folder of the environments. Otherwise each of the
     processes, some hundreds, compiles everything again. Nothing is kept of modules in temporary folders."""
-    if not sys.dont_write_bytecode or sys.pycache_prefix:
+    if not sys.dont_write_bytecode:
         yield
         return
-    folder = environment.environments_folder() / "bytecode"
+    folder = Path(sys.pycache_prefix or environment.environments_folder() / "bytecode")
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     os.environ["PYTHONPYCACHEPREFIX"] = str(folder)
     sys.dont_write_bytecode, sys.pycache_prefix = False, str(folder)

@@ -73,7 +73,7 @@ def build(*objects, **settings):
     """Build one cloud of objects, and return its job."""
     select(*objects)
     options = BuildOptions(combine_selected=True, keep_original_visible=True)
-    job = prepare_job(bpy.context, list(objects), BillboardSettings(**{"levels": 1, "samples": 1, "error": 0.02} | settings), options)
+    job = prepare_job(bpy.context, list(objects), BillboardSettings(**{"levels": 1, "samples": 1, "error": 0.04} | settings), options)
     run_to_end(job.scene_steps(run_to_end(job.core_steps())))
     return job
 
@@ -186,7 +186,7 @@ class TestNotCompared:
 def test_nothing_is_left_when_the_build_ends_during_the_comparison(is_removed):
     ball = blender_scenes.ball(material=blender_scenes.create_material("Clay"))
     select(ball)
-    job = prepare_job(bpy.context, [ball], BillboardSettings(levels=2, samples=1, error=0.02), BuildOptions())
+    job = prepare_job(bpy.context, [ball], BillboardSettings(levels=1, samples=1, error=0.04), BuildOptions())
     quads = run_to_end(job.core_steps())
     before = blender_scenes.count_data()
     steps = job.scene_steps(quads)

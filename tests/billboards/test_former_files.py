@@ -28,7 +28,7 @@ def build(item, **settings):
     """Build a cloud of an object and return its only level."""
     before = set(levels())
     select(item)
-    bpy.ops.farfield.billboards_build(levels=1, error=2.0, samples=1, keep_original_visible=True, **settings)
+    bpy.ops.farfield.billboards_build(levels=1, error=8.0, samples=1, keep_original_visible=True, **settings)
     (name,) = set(levels()) - before
     return levels()[name]
 

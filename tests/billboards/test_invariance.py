@@ -15,7 +15,7 @@ BUMPY = bumpy_sphere(6)
 
 
 def build_test_cloud(mesh: TriangleMesh, **settings) -> Cloud:
-    return run_to_end(build_cloud(mesh, BillboardSettings(**({"error": 0.03, "levels": 2} | settings))))
+    return run_to_end(build_cloud(mesh, BillboardSettings(**({"error": 0.05, "levels": 2} | settings))))
 
 
 def transform(mesh: TriangleMesh, scale: float = 1.0, rotation: np.ndarray | None = None, offset=0.0) -> TriangleMesh:
@@ -23,9 +23,8 @@ def transform(mesh: TriangleMesh, scale: float = 1.0, rotation: np.ndarray | Non
     return TriangleMesh((vertices if rotation is None else vertices @ rotation.T) + offset, mesh.triangles)
 
 
-@pytest.mark.parametrize("method", EXACT)
-@pytest.mark.parametrize("power", [-20, pytest.param(20, marks=pytest.mark.exhaustive)])
-def test_scaling_by_powers_of_two_is_exact(power, method):
+@pytest.mark.parametrize(("method", "power"), [("clusters", -20), ("hough", 20)])
+def test_scaling_by_powers_of_two_is_exact(method, power):
     """Rounding does not change, so any difference would reveal an absolute length in the code."""
     scale = 2.0**power
     before, after = build_test_cloud(BUMPY, method=method), build_test_cloud(transform(BUMPY, scale), method=method)
@@ -49,9 +48,8 @@ def test_translation_by_integers_is_exact(method):
             np.testing.assert_array_equal(getattr(moved.quads, name), getattr(level.quads, name))
 
 
-@pytest.mark.parametrize("method", ["clusters", "hough", "decimate"])
-@pytest.mark.parametrize("unit", [1e-6, pytest.param(1e6, marks=pytest.mark.exhaustive)])
-def test_scale_of_units_changes_little(unit, method):
+@pytest.mark.parametrize(("method", "unit"), [("clusters", 1e-6), ("clusters", 1e6), ("hough", 1e-6), ("decimate", 1e-6)])
+def test_scale_of_units_changes_little(method, unit):
     settings, offset = {"method": method, "error": 0.1, "levels": 1}, unit * np.array([3.0, -2.0, 1.0])
     mesh = box(cuts=1) if method == "decimate" else BUMPY  # decimate is slow on curved surfaces
     before, after = build_test_cloud(mesh, **settings), build_test_cloud(transform(mesh, unit, offset=offset), **settings)
@@ -61,7 +59,7 @@ def test_scale_of_units_changes_little(unit, method):
     assert after.max_plane_distance <= 1.0 and after.uncovered_faces == 0
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_rotated_box_has_rotated_faces(seed):
     rotation = random_rotation(seed)
     mesh = transform(box((1.0, 2.0, 3.0)), rotation=rotation, offset=[4.0, 5.0, 6.0])
@@ -72,15 +70,11 @@ def test_rotated_box_has_rotated_faces(seed):
     np.testing.assert_allclose(np.sort(np.abs(local), axis=1), np.tile([0.0, 0.0, 1.0], (6, 1)), atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "mesh",
-    [pytest.param(BUMPY, marks=pytest.mark.exhaustive), concatenate([BUMPY, transform(leaf_cards(40), 1.5)])],
-    ids=["bumpy", "with leaves"],
-)
-def test_rotation_changes_little(mesh):
+def test_rotation_changes_little():
     """The error is the same length for both, although the bounding boxes differ."""
+    mesh = concatenate([BUMPY, transform(leaf_cards(40), 1.5)])
     rotated = transform(mesh, rotation=random_rotation(1))
-    error = 0.03 * longest_side(mesh.vertices) / longest_side(rotated.vertices)
+    error = 0.05 * longest_side(mesh.vertices) / longest_side(rotated.vertices)
     before, after = build_test_cloud(mesh), build_test_cloud(rotated, error=error)
     for level, moved in zip(before.levels, after.levels, strict=True):
         assert moved.error == pytest.approx(level.error)

@@ -15,9 +15,9 @@ from farfield.addon.core.jobs.progress import Progress, run_to_end
 from shapes import box, bumpy_sphere, cylinder, leaf_cards, sheet, sphere
 
 MESHES = {
-    "bumpy": bumpy_sphere(8),
-    "leaves": leaf_cards(150, size=0.05),
-    "tree": concatenate([cylinder(radius=0.1, sides=16, cuts=5), leaf_cards(60)]),
+    "bumpy": bumpy_sphere(6),
+    "leaves": leaf_cards(80, size=0.05),
+    "tree": concatenate([cylinder(radius=0.1, sides=12, cuts=4), leaf_cards(40)]),
 }
 
 
@@ -72,8 +72,8 @@ def build(mesh: TriangleMesh, **settings) -> Cloud:
 
 
 def test_every_level_is_the_cloud_of_its_error():
-    mesh = sphere(16)
-    cloud = build(mesh, error=0.02, levels=3)
+    mesh = sphere(12)
+    cloud = build(mesh, error=0.04, levels=2)
     assert len(cloud.levels) > 1
     for level in cloud.levels:
         (alone,) = build(mesh, error=level.error / cloud.longest_side, levels=1).levels
@@ -128,7 +128,7 @@ def test_a_cloud_that_is_no_lighter_than_its_source_proposes_an_error():
 
 
 def test_a_lighter_level_is_proposed_before_an_estimate():
-    levels = build(sphere(16), error=0.02, levels=2).levels
+    levels = build(sphere(12), error=0.04, levels=2).levels
     sentence = describe_weight(levels, 2.0, levels[0].triangle_count, lambda _: 1e9, "Shape")
     assert f"an error of about {levels[1].error / 2.0:.2%}".replace(".00", "") in sentence
 

@@ -33,12 +33,19 @@ def crown():
     """A dense crown of opaque leaves, as `build` returns it, and its object."""
     blender_scenes.reset_scene()
     mesh = bpy.data.meshes.new("Crown")
-    leaves = shapes.leaf_cards(1500, 0.08, 0.2)
+    leaves = shapes.leaf_cards(1200, 0.08, 0.2)
     write_triangles(mesh, leaves.vertices, leaves.triangles)
     mesh.materials.append(blender_scenes.create_material("Leaf", (0.3, 0.5, 0.1), 1.0))
     item = bpy.data.objects.new("Crown", mesh)
     bpy.context.scene.collection.objects.link(item)
     return (*build(item), item)
+
+
+@pytest.fixture(scope="module")
+def fitted(crown):
+    """The fitted textures of the crown."""
+    source, cloud, textures, item = crown
+    return run_to_end(fit_luminance(source, [item], cloud, textures))[0]
 
 
 def sum_colors(items, source):
@@ -50,9 +57,8 @@ def sum_colors(items, source):
         return np.array([studio.render(items, direction, center, 0.03, 100).sum(axis=(0, 1)) for direction in directions])
 
 
-def test_crowns_are_as_bright_as_their_source(crown):
+def test_crowns_are_as_bright_as_their_source(crown, fitted):
     source, cloud, textures, item = crown
-    (fitted,) = run_to_end(fit_luminance(source, [item], cloud, textures))
     wanted = sum_colors([item], source)
     before, after = (
         sum_colors([create_level_object("Crown", cloud.levels[0], maps, source.origin)], source) / wanted for maps in (textures[0], fitted)
@@ -61,9 +67,8 @@ def test_crowns_are_as_bright_as_their_source(crown):
     assert np.abs(after - 1.0).sum() < np.abs(before - 1.0).sum()
 
 
-def test_darkened_colors_can_be_restored(crown):
-    source, cloud, textures, item = crown
-    (fitted,) = run_to_end(fit_luminance(source, [item], cloud, textures))
+def test_darkened_colors_can_be_restored(crown, fitted):
+    textures = crown[2]
     near_visibility = fitted.front.near_visibility
     is_darkened = (near_visibility < 0.97) & (textures[0].front.color[..., 3] > 0.5)
     before, after = (maps.color[is_darkened] for maps in (textures[0].front, fitted.front))
@@ -73,7 +78,7 @@ def test_darkened_colors_can_be_restored(crown):
 
 
 def test_wrong_colors_are_corrected():
-    item = blender_scenes.ball(material=blender_scenes.create_material("Red", (0.7, 0.3, 0.2), 1.0))
+    item = blender_scenes.box(material=blender_scenes.create_material("Red", (0.7, 0.3, 0.2), 1.0))
     source, cloud, textures = build(item)
     true = textures[0].front
     dark = replace(textures[0], front=replace(true, color=true.color * np.float32([0.6, 0.6, 0.6, 1.0])))

@@ -424,8 +424,8 @@ class TestPanel:
         assert "with an error of 10% is" in shown and 'The cloud of "Cube" has 12' in shown
 
     def test_triangles_of_decimated_meshes_are_shown(self):
-        bpy.ops.mesh.primitive_uv_sphere_add(segments=48, ring_count=24)
-        build(error=1.0, levels=1, nested_levels=False)
+        bpy.ops.mesh.primitive_uv_sphere_add(segments=24, ring_count=12)
+        build(error=4.0, levels=1, nested_levels=False)
         (level,) = levels().values()
         count = level["farfield_mesh_triangles"]
         faces = len(level.data.polygons) if count else 0

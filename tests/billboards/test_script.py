@@ -139,7 +139,7 @@ def test_source_is_hidden_unless_kept(cube, keep):
 def test_cancelling_is_code_130_and_leaves_no_files(cube):
     out = cube.with_name("out.blend")
     process = subprocess.Popen(
-        [sys.executable, "-u", str(SCRIPT), str(cube), "--out", str(out), "--error", "2%", "--samples", "4", "--verbose"],
+        [sys.executable, "-u", str(SCRIPT), str(cube), "--out", str(out), "--error", "5%", "--levels", "1", "--samples", "1", "--verbose"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -55,17 +55,27 @@ def scattered_boxes(count: int, cuts: int) -> TriangleMesh:
     return concatenate(boxes)
 
 
-@pytest.mark.parametrize("source", [bumpy_sphere(6), box(cuts=2)], ids=["bumpy sphere", "box"])
-def test_a_small_source_is_estimated_exactly(source):
-    assert [astuple(level) for level in estimate(source, error=0.02)] == build(source, error=0.02)
-    assert [astuple(level) for level in estimate(source, quads=20)] == build(source, quads=20)
+@pytest.mark.parametrize(
+    ("source", "settings"), [(bumpy_sphere(6), {"error": 0.04}), (box(cuts=2), {"quads": 20})], ids=["bumpy sphere", "budget for a box"]
+)
+def test_a_small_source_is_estimated_exactly(source, settings):
+    settings = {"levels": 2} | settings
+    assert [astuple(level) for level in estimate(source, **settings)] == build(source, **settings)
 
 
-@pytest.mark.parametrize("solid_parts", ["mesh", "quads"])
-@pytest.mark.parametrize("source", [sphere(48), wavy_sphere(40), scattered_boxes(40, 5)], ids=["sphere", "waves", "boxes"])
+@pytest.mark.parametrize(
+    ("source", "solid_parts"),
+    [
+        (wavy_sphere(20), "mesh"),
+        pytest.param(scattered_boxes(10, 4), "mesh", marks=pytest.mark.exhaustive),
+        (scattered_boxes(10, 4), "quads"),
+        pytest.param(wavy_sphere(20), "quads", marks=pytest.mark.exhaustive),
+    ],
+    ids=["waves", "boxes", "quads of boxes", "quads of waves"],
+)
 def test_estimates_are_within_one_and_a_half_times_on_every_level(source, solid_parts, monkeypatch):
     monkeypatch.setattr(trial, "MAX_PRIMITIVES", len(source.triangles) // 3)
-    settings = {"error": 0.02, "levels": 2, "solid_parts": solid_parts}
+    settings = {"error": 0.03, "levels": 2, "solid_parts": solid_parts}
     estimated, built = estimate(source, **settings), build(source, **settings)
     assert len(estimated) == len(built)
     for level, figures in zip(estimated, built, strict=True):

@@ -42,9 +42,9 @@ def box(name: str = "Box", material: bpy.types.Material | None = None) -> bpy.ty
     return _finish(name, material)
 
 
-def ball(name: str = "Ball", material: bpy.types.Material | None = None) -> bpy.types.Object:
+def ball(name: str = "Ball", material: bpy.types.Material | None = None, segments: int = 24) -> bpy.types.Object:
     """Add a smooth sphere of radius 1."""
-    bpy.ops.mesh.primitive_uv_sphere_add(segments=48, ring_count=24)
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=segments, ring_count=segments // 2)
     sort_faces(bpy.context.object.data)
     bpy.context.object.data.shade_smooth()
     return _finish(name, material)
