@@ -15,6 +15,7 @@ import numpy as np
 
 from farfield.addon.bridge.geometry.mesh_arrays import write_triangles
 from lib.demo_materials import create_material
+from lib.shader_nodes import find_node
 
 SHARP_ANGLE = math.radians(35.0)  # between faces at hard edges
 Point = Sequence[float]
@@ -73,6 +74,19 @@ def _material(name: str, generator: np.random.Generator, color: Point, **paramet
     surface.inputs["Base Color"].default_value = (*varied.tolist(), 1.0)
     for key, value in parameters.items():
         surface.inputs[key.replace("_", " ")].default_value = value
+    return material
+
+
+def _leaf_material(generator: np.random.Generator) -> bpy.types.Material:
+    """Return a material that lets half of the light through."""
+    material = _material("Leaf", generator, (0.12, 0.3, 0.05), Roughness=0.5)
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    surface, output = (find_node(material.node_tree, kind) for kind in ("BSDF_PRINCIPLED", "OUTPUT_MATERIAL"))
+    translucent, mixed = nodes.new("ShaderNodeBsdfTranslucent"), nodes.new("ShaderNodeMixShader")
+    translucent.inputs["Color"].default_value = (0.3, 0.5, 0.08, 1.0)
+    links.new(surface.outputs[0], mixed.inputs[1])
+    links.new(translucent.outputs[0], mixed.inputs[2])
+    links.new(mixed.outputs[0], output.inputs["Surface"])
     return material
 
 
@@ -221,7 +235,7 @@ def build_bush(generator: np.random.Generator) -> list[bpy.types.Object]:
     triangles = np.array([[0, 1, 2], [0, 2, 3]]) + 4 * np.arange(count)[:, None, None]
     mesh = bpy.data.meshes.new("Bush")
     write_triangles(mesh, (centers[:, None] + corners).reshape(-1, 3), triangles.reshape(-1, 3))
-    mesh.materials.append(_material("Leaf", generator, (0.12, 0.3, 0.05), Roughness=0.5, Transmission_Weight=0.4))
+    mesh.materials.append(_leaf_material(generator))
     leaves = bpy.data.objects.new("Bush", mesh)
     bpy.context.scene.collection.objects.link(leaves)
     stems = Builder()
