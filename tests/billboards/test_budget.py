@@ -63,7 +63,9 @@ def test_two_budgets_are_rejected():
 
 
 @pytest.mark.parametrize(
-    ("mesh", "budget"), [(bush(), 6), (bush(), 20), (shapes.soup(50), 20), (shapes.box(cuts=2), 6)], ids=["tree", "large tree", "soup", "box"]
+    ("mesh", "budget"),
+    [(bush(), 6), (bush(), 20), (shapes.soup(50), 20), (shapes.box(cuts=2), 6)],
+    ids=["tree", "large tree", "soup", "box"],
 )
 def test_any_number_of_quads_from_six_on_is_reached(mesh, budget):
     cloud = build_test_cloud(mesh, quads=budget, levels=1)
@@ -108,9 +110,7 @@ def test_every_method_keeps_the_budget(method, mesh, budget):
     assert cloud.max_plane_distance <= 1.0
 
 
-@pytest.mark.parametrize(
-    ("mesh", "budget"), [(shapes.sphere(6), 1.0), pytest.param(bush(), 0.1, marks=EXHAUSTIVE)], ids=["sphere", "tree"]
-)
+@pytest.mark.parametrize(("mesh", "budget"), [(shapes.sphere(6), 1.0), pytest.param(bush(), 0.1, marks=EXHAUSTIVE)], ids=["sphere", "tree"])
 def test_texture_of_all_levels_meets_the_budget(mesh, budget):
     cloud = build_test_cloud(mesh, texture_mb=budget, levels=2)
     assert 0.8 * budget <= megabytes(cloud) <= budget

@@ -28,7 +28,7 @@ def shared_cloud_file(extension, tmp_path_factory):
     blender_scenes.reset_scene()
     ball = blender_scenes.ball("Bällchen")
     bpy.context.view_layer.objects.active = ball
-    bpy.ops.farfield.billboards_build(error=10.0, levels=1, samples=1)
+    bpy.ops.farfield.billboards_build(error=10.0, levels=1, samples=1, solid_parts="quads")
     path = tmp_path_factory.mktemp("cloud") / "in.blend"
     scene_files.save_scene(path)
     return path

@@ -38,7 +38,7 @@ def build_cloud(item: bpy.types.Object, **settings) -> SceneCloud:
     bpy.ops.object.select_all(action="DESELECT")
     bpy.context.view_layer.objects.active = item
     item.select_set(True)
-    bpy.ops.farfield.billboards_build(**{"error": 4.0, "levels": 1, "samples": 4, "keep_original_visible": True, **settings})
+    bpy.ops.farfield.billboards_build(**{"error": 4.0, "levels": 1, "samples": 2, "keep_original_visible": True, **settings})
     cloud = clouds_in(bpy.context.scene)[-1]
     bpy.context.view_layer.objects.active = cloud.levels[0]
     return cloud
@@ -189,7 +189,7 @@ def test_a_cloud_without_textures_needs_the_model_emission():
 
 
 def test_a_map_without_pixels_is_named(tmp_path):
-    built = build_cloud(blender_scenes.box())
+    built = build_cloud(blender_scenes.box(), error=20.0, samples=1)
     image = pbr_image(built.levels[0], map_label(SIDES[0], MAPS[0]))
     if image.packed_file:
         image.unpack(method="REMOVE")
@@ -200,7 +200,7 @@ def test_a_map_without_pixels_is_named(tmp_path):
 
 
 def test_a_packed_map_that_is_damaged_is_named():
-    built = build_cloud(blender_scenes.box())
+    built = build_cloud(blender_scenes.box(), error=20.0, samples=1)
     image = pbr_image(built.levels[0], map_label(SIDES[1], MAPS[0]))
     blender_scenes.damage_packed_image(image)
     with pytest.raises(FileError, match=f'The packed image "{image.name}" is damaged and cannot be read; replace it'):

@@ -87,19 +87,6 @@ def test_several_processes_write_the_same_bytes(cloud, reference_digests, tmp_pa
 
 
 @pytest.mark.exhaustive
-def test_a_moved_cloud_is_captured_as_if_it_had_not_moved(cloud, reference_digests, tmp_path):
-    """People put a cloud next to its original to compare them, then bake it."""
-    parent = bpy.data.objects.new("Parent", None)
-    bpy.context.scene.collection.objects.link(parent)
-    parent.location, parent.rotation_euler, parent.scale = (5.0, -2.0, 1.0), (0.3, 0.2, 0.1), (2.0, 1.0, 1.0)
-    cloud.levels[0].parent = parent
-    cloud.levels[1].location, cloud.levels[1].rotation_euler, cloud.levels[1].scale = (0.0, 0.3, 7.0), (0.0, 0.0, 0.5), (0.5, 0.5, 0.5)
-    bpy.context.view_layer.update()
-    run_to_end(prepare_job(cloud, tmp_path / "work", "serial")._capture())
-    assert digests(tmp_path / "work") == reference_digests
-
-
-@pytest.mark.exhaustive
 def test_dask_writes_the_same_bytes(cloud, reference_digests, scheduler, tmp_path):
     scheduler.start_workers(2)
     run_to_end(prepare_job(cloud, tmp_path / "work", f"dask:{scheduler.address}")._capture())
@@ -148,23 +135,15 @@ def test_killing_a_worker_at_a_random_moment_loses_no_finished_view(cloud, refer
 @only_on_linux
 @pytest.mark.once
 @pytest.mark.slow
-@pytest.mark.parametrize("kills", [1, pytest.param(2, marks=pytest.mark.exhaustive)])
-def test_a_bake_killed_at_random_moments_resumes_from_its_finished_views(cloud_file, reference_digests, tmp_path, kills):
-    """The first kill may precede the first view, the second one happens while the bake is resumed."""
+def test_a_bake_killed_at_a_random_moment_resumes_from_its_finished_views(cloud_file, reference_digests, tmp_path):
+    """The kill may precede the first view."""
     moments, folder = random_moments(), tmp_path / "work"
     command = script_command(cloud_file, folder, "--executor", "processes:2")
-    states_at_kill = {}
-    for min_view_count in (moments.randrange(-1, 4), moments.randrange(4, 7))[:kills]:
-        start_and_kill(command, folder, min_view_count, moments.uniform(0.0, 0.8))
-        assert states_at_kill.items() <= file_states(folder).items(), "a finished view was rendered again"
-        states_at_kill = file_states(folder)
-    if kills > 1:
-        completed = subprocess.run(command, capture_output=True, text=True, check=False)
-        assert completed.returncode == 0, completed.stderr
-    else:
-        job = prepare_job(open_cloud(cloud_file), folder / "Ball Cloud")
-        run_to_end(job._capture())
-        job.run.close()
+    start_and_kill(command, folder, moments.randrange(-1, 4), moments.uniform(0.0, 0.8))
+    states_at_kill = file_states(folder)
+    job = prepare_job(open_cloud(cloud_file), folder / "Ball Cloud")
+    run_to_end(job._capture())
+    job.run.close()
     assert states_at_kill.items() <= file_states(folder).items(), "a finished view was rendered again"
     assert digests(folder / "Ball Cloud") == reference_digests
     left = {path.suffix for path in folder.rglob("*") if path.is_file()}

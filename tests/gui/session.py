@@ -24,7 +24,7 @@ from lib.window_session import module as module  # for the session_*.py files
 from lib.window_session import wait_for_job as wait_for_job
 
 FOLDER = Path(sys.argv[sys.argv.index("--") + 1])
-LEAVES = 600
+LEAVES = 300
 START_TIMEOUT_SECONDS = 20.0
 
 results: dict = {"error": None}
@@ -73,6 +73,7 @@ class UserInput:
     def __init__(self) -> None:
         self.window = bpy.context.window_manager.windows[0]
         self.area = window_session.viewport()
+        self._found: dict[str, int] = {}  # Height of the mouse on buttons that were found, by operator.
 
     def region(self, region_type: str) -> bpy.types.Region:
         """Return a region of the 3D Viewport."""
@@ -98,18 +99,21 @@ class UserInput:
         return window_manager.clipboard.startswith(f"bpy.ops.{operator}(")
 
     def find_button(self, operator: str) -> Iterator[float | tuple[int, int]]:
-        """Move the mouse down the sidebar until it is on the button of `operator`; return the position of the mouse."""
+        """Move the mouse down the sidebar until it is on the button of `operator`, first to where this was before; return the position of
+        the mouse."""
         sidebar = self.region("UI")
         x = sidebar.x + sidebar.width // 2
         self.move(sidebar.x - 200, sidebar.y + sidebar.height // 2)  # leave the sidebar, or the last pressed button stays active
         yield 3 * POLL_SECONDS
-        for y in range(sidebar.y + sidebar.height - 10, sidebar.y, -9):
+        known = [self._found[operator] + 1] if operator in self._found else []
+        for y in [*known, *range(sidebar.y + sidebar.height - 10, sidebar.y, -9)]:
             self.move(x, y)
-            yield POLL_SECONDS
+            yield 0.5 * POLL_SECONDS
             if self.is_on_button(operator):
                 self.move(x, y - 1)
                 yield 3 * POLL_SECONDS
                 if self.is_on_button(operator):
+                    self._found[operator] = y - 1
                     return x, y - 1
         raise AssertionError(f"the sidebar has no button for {operator}")
 

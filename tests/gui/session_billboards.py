@@ -29,7 +29,9 @@ def session() -> Iterator[float]:
     user = UserInput()
     bpy.data.objects.remove(bpy.data.objects["Cube"])
     create_tree()
-    bpy.context.scene.farfield_billboards.nested_levels = True  # Levels of these large leaves save too little to be kept otherwise.
+    settings = bpy.context.scene.farfield_billboards
+    settings.nested_levels = True  # Levels of these large leaves save too little to be kept otherwise.
+    settings.error, settings.samples = 3.0, 4
     bpy.ops.ed.undo_push(message="Grow Tree")
     open_panel_alone("billboards")
     yield from user.open_sidebar()

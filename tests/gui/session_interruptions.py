@@ -23,6 +23,11 @@ START_SECONDS, END_SECONDS = 20.0, 180.0
 DEFECTS = "farfield-defect-*"
 
 
+def create_small_ball() -> None:
+    """Create a textured ball of 2,000 triangles."""
+    create_ball(48)
+
+
 def damaged_image() -> None:
     """Add an image with a transparent square."""
     pixels = np.random.default_rng(0).random((512, 512, 4)).astype(np.float32)
@@ -33,7 +38,7 @@ def damaged_image() -> None:
 
 def heights() -> None:
     """Write an elevation model."""
-    x = np.arange(1500.0)
+    x = np.arange(1000.0)
     np.save(FOLDER / "heights.npy", 50.0 * np.add.outer(np.sin(0.01 * x), np.cos(0.013 * x)))
 
 
@@ -42,9 +47,9 @@ def store_properties() -> dict:
 
 
 JOBS: dict[str, tuple[Callable[[], object], Callable[[], dict]]] = {
-    "billboards_build": (create_tree, lambda: {"error": 2.0}),
+    "billboards_build": (create_tree, lambda: {"error": 6.0, "levels": 1, "samples": 1}),
     "unwrap": (create_bumpy_ball, dict),
-    "texmesh_levels": (create_ball, dict),
+    "texmesh_levels": (create_small_ball, lambda: {"views": 1, "max_image": 64, "vertices": "original"}),
     "restore_image": (damaged_image, lambda: {"image": "Image", "mask": "alpha"}),
     "clipbox_create": (lambda: None, lambda: {"boxes": 6, "resolution": 64}),
     "bdam_build": (heights, store_properties),
@@ -69,7 +74,7 @@ def undo() -> None:
 
 
 if find_spec("PIL") is not None:  # Blender of a distribution may have another Python than our wheels.
-    JOBS["packages_export"] = (create_ball, lambda: {"folder": str(FOLDER / "package")})
+    JOBS["packages_export"] = (create_small_ball, lambda: {"folder": str(FOLDER / "package")})
 INTERRUPTIONS = {"delete": delete_everything, "load": load_another_file, "undo": undo}
 
 
@@ -89,7 +94,7 @@ def interrupt_previews() -> Iterator[float]:
         in_viewport(load_another_file)
         yield 0.5
         bpy.data.objects.remove(bpy.data.objects["Cube"])
-        in_viewport(create_ball)
+        in_viewport(create_small_ball)
         in_viewport(partial(bpy.ops.ed.undo_push, message="ball"))
         before = set(Path(tempfile.gettempdir()).glob(DEFECTS))
         in_viewport(partial(bpy.ops.farfield.texmesh_levels, "INVOKE_DEFAULT", **values))

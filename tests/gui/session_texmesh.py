@@ -15,9 +15,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not add
 from session import UserInput, module, open_panel_alone, results, save_screenshot, scene_state, start_session, wait_for_job, wait_until
 
 
-def create_ball() -> bpy.types.Object:
+def create_ball(segments: int = 64) -> bpy.types.Object:
     """Create a bumpy ball with a texture as the active object."""
-    bpy.ops.mesh.primitive_uv_sphere_add(segments=96, ring_count=48)
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=segments, ring_count=segments // 2)
     ball = bpy.context.object
     ball.name = "Ball"
     for vertex in ball.data.vertices:

@@ -15,8 +15,8 @@ BUTTON = "farfield.unwrap"
 
 
 def create_bumpy_ball() -> bpy.types.Object:
-    """Create a ball of 20,000 triangles with bumps as the active object."""
-    bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=6, calc_uvs=False)
+    """Create a ball of 5,000 triangles with bumps as the active object."""
+    bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=5, calc_uvs=False)
     ball = bpy.context.object
     for vertex in ball.data.vertices:
         x, y, z = vertex.co

@@ -9,11 +9,11 @@ from glb_reader import read_glb
 from textured_scenes import textured_ball
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
-SMALL = {"levels": "ratios", "ratios": "0.5,0.2", "views": 1, "max_image": 32, "billboard_cloud": True}
+SMALL = {"levels": "ratios", "ratios": "0.5,0.2", "views": 1, "max_image": 32, "vertices": "original", "billboard_cloud": True}
 
 
 def make(**values) -> list[bpy.types.Object]:
-    assert bpy.ops.farfield.texmesh_levels(**SMALL, **values) == {"FINISHED"}
+    assert bpy.ops.farfield.texmesh_levels(**SMALL | values) == {"FINISHED"}
     bpy.context.view_layer.update()
     (levels,) = level_sets_in(bpy.context.scene)
     return levels.levels
@@ -38,13 +38,13 @@ def test_the_last_level_is_a_billboard_cloud(tmp_path, capsys):
     file = read_glb(tmp_path / "ball.glb")
     assert [node.name for node in file.nodes] == [f"Ball_LOD{number}" for number in range(4)]
     assert file.materials[file.meshes[3].primitives[0].material]["alphaMode"] == "MASK"
-    make(cloud_quads=6)
+    assert len(make(billboard_cloud=False)) == 3, "these replace the levels and the cloud"
     assert bpy.ops.farfield.texmesh_remove() == {"FINISHED"}
     assert count_data() == before
 
 
 def test_deformed_objects_have_no_billboard_cloud(capsys):
-    ball = textured_ball(8, "Ball")
+    ball = textured_ball(6, "Ball")
     ball.shape_key_add(name="Basis")
     ball.shape_key_add(name="Wide")
     assert len(make()) == 3
@@ -52,6 +52,6 @@ def test_deformed_objects_have_no_billboard_cloud(capsys):
 
 
 def test_a_cloud_of_too_few_quads_is_left_out(capsys):
-    textured_ball(8, "Ball")
+    textured_ball(6, "Ball")
     assert len(make(cloud_quads=2)) == 3
     assert 'Skipped: the billboard cloud ("Ball" needs at least' in capsys.readouterr().out

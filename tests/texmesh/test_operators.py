@@ -35,12 +35,12 @@ def make(**values) -> list[bpy.types.Object]:
 
 @pytest.mark.parametrize("vertices", ["original", "optimized"])
 def test_levels_have_fewer_triangles_and_larger_errors(vertices):
-    ball = textured_ball(12)
+    ball = textured_ball(8)
     ball.location, ball.scale = (3.0, -2.0, 1.0), (2.0, 2.0, 2.0)
     bpy.context.view_layer.update()
-    levels = make(levels="number", number=3, views=2, max_image=64, vertices=vertices)
+    levels = make(levels="number", number=3, vertices=vertices)
     counts, errors = [len(level.data.polygons) for level in levels], [level[ERROR] for level in levels]
-    assert len(levels) == 3 and counts == sorted(counts, reverse=True) and counts[0] == 528
+    assert len(levels) == 3 and counts == sorted(counts, reverse=True) and counts[0] == 224
     assert errors[0] == 0.0 and errors == sorted(errors) and errors[1] > 0.0
     assert all(level.matrix_world == ball.matrix_world and not level.data.validate() for level in levels)
     assert all(level.data.uv_layers.active.name == ball.data.uv_layers.active.name for level in levels)
@@ -108,7 +108,7 @@ def test_no_preview_starts_in_scripts(ball):
 
 
 def test_the_progress_names_the_object_and_never_decreases(ball):
-    settings = TexmeshSettings(levels="ratios", ratios="0.3", views=1, max_image=16)
+    settings = TexmeshSettings(levels="ratios", ratios="0.3", views=1, max_image=16, vertices="original")
     steps = []
     run_to_end(prepare_levels(bpy.context, [ball], settings, SceneSettings()).core_steps(), steps.append)
     assert not any("Ball" in step.label for step in steps)
@@ -116,7 +116,7 @@ def test_the_progress_names_the_object_and_never_decreases(ball):
     other = textured_ball(10, "Other")
     run_to_end(prepare_levels(bpy.context, [ball, other], settings, SceneSettings()).core_steps(), steps.append)
     fractions = [step.fraction for step in steps]
-    assert fractions == sorted(fractions) and fractions[0] == 0.0 and fractions[-1] > 0.9
+    assert fractions == sorted(fractions) and fractions[0] == 0.0 and fractions[-1] > 0.8
     first, second = ([step.label.startswith(name) for step in steps] for name in ("Ball (1 of 2): ", "Other (2 of 2): "))
     assert all(a != b for a, b in zip(first, second, strict=True)) and first == sorted(first, reverse=True)
     assert 0.1 < steps[second.index(True)].fraction < 0.5

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..geometry.mesh import PointCloud, TriangleMesh, drop_degenerate, face_areas_and_normals, longest_side
-from ..geometry.transforms import frame_from_normal
+from ..geometry.transforms import frames_from_normals
 from .error_search import MAX_ERROR, MIN_ERROR
 from .primitives import Primitives, drop_incomplete_points
 from .settings import BillboardSettings
@@ -131,7 +131,7 @@ def _sample(corners: np.ndarray, normals: np.ndarray, areas: np.ndarray, side: f
     member_areas = np.concatenate([areas[nearest], np.full((SEED_COUNT, DISTANT_COUNT), areas.sum() / DISTANT_COUNT)], axis=1)
     is_among_nearest = np.linalg.norm(offsets[:, near_count:], axis=2) <= distances[:, -1:]
     member_areas[:, near_count:][is_among_nearest] = 0.0
-    frames = np.stack([frame_from_normal(normal) for normal in normals[seeds]])
+    frames = frames_from_normals(normals[seeds])
     local = np.einsum("sni,sci->snc", offsets, frames)
     order = np.argsort((local[..., :2] ** 2).sum(axis=2), axis=1)
     local = np.take_along_axis(local, order[..., None], axis=1)
