@@ -108,7 +108,7 @@ class UserInput:
         known = [self._found[operator] + 1] if operator in self._found else []
         for y in [*known, *range(sidebar.y + sidebar.height - 10, sidebar.y, -9)]:
             self.move(x, y)
-            yield 0.5 * POLL_SECONDS
+            yield POLL_SECONDS
             if self.is_on_button(operator):
                 self.move(x, y - 1)
                 yield 3 * POLL_SECONDS
