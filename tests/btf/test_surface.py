@@ -50,7 +50,7 @@ def baked_file(extension, tmp_path_factory):
     blender_scenes.reset_scene()
     material = blender_scenes.create_material("Red", (0.8, 0.2, 0.1), 0.6)
     blender_scenes.shader_of(material).inputs["Coat Roughness"].default_value = 0.4  # It is copied, and not seen without a coat.
-    bake_in_this_process(build_cloud(blender_scenes.ball(material=material), solid_parts="quads"), **BAKE)
+    bake_in_this_process(build_cloud(blender_scenes.ball(material=material, segments=48), solid_parts="quads", samples=4), **BAKE)
     path = tmp_path_factory.mktemp("surface") / "baked.blend"
     scene_files.save_scene(path)
     return path
