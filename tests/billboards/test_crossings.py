@@ -84,9 +84,9 @@ def test_other_shapes_get_none():
         (board, Covering([patch], np.zeros(len(board), np.int32)), ERROR),
         (*column_covering(0.4), ERROR),
     ):
-        assert add_crossings(primitives, no_sheets(primitives), covering, error) == covering
+        assert add_crossings(primitives, no_sheets(primitives), covering, error).patches == covering.patches
     primitives, covering = column_covering(0.12)
-    assert add_crossings(primitives, ~no_sheets(primitives), covering, ERROR) == covering
+    assert add_crossings(primitives, ~no_sheets(primitives), covering, ERROR).patches == covering.patches
 
 
 def test_two_halves_of_a_rod_get_one_quad():
