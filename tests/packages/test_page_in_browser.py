@@ -41,7 +41,7 @@ pytestmark = [
 ]
 LINE = ConnectionRate(((1.0, 80_000.0),), latency=0.02)  # Slow: on a busy machine, the first drawing alone may take 2 seconds.
 TIME_LIMIT = 4.5  # seconds
-TRIES = 3  # Times are measured so often: the machine does other work meanwhile.
+TRIES = 6  # Times are measured so often: the machine does other work meanwhile.
 FINISHED = "window.farfield?.isFinished"
 STATUS = "document.getElementById('status')?.textContent"
 MISSING = "(({ bytes, total }) => total - bytes)(farfield.loader.measures)"
@@ -128,10 +128,11 @@ def test_something_is_shown_soon_and_all_within_limit(page, tmp_path):
             assert page.messages == []
             deviations.append(page.evaluate("farfield.loader.measures.deviation ?? 1e9") / manifest.time_limit)
             fractions.append(page.evaluate("farfield.session.firstImage ?? 1e9") / manifest.time_limit)
-            if fractions[-1] <= 0.7 and abs(deviations[-1]) <= 0.2:
+            if fractions[-1] <= 0.7 and -0.2 <= deviations[-1] <= 0.05:
                 break
     print(f"first image after {fractions} of the time, deviation {deviations} of it")
-    assert min(fractions) <= 0.7 and min(map(abs, deviations)) <= 0.2
+    assert min(fractions) <= 0.7
+    assert -0.2 <= min(deviations, key=abs) <= 0.05
     assert page.evaluate("farfield.loader.shown") > 0
     assert all(request.startswith((url, "data:")) for request in page.requests)
 
