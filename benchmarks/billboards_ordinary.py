@@ -22,7 +22,7 @@ from typing import Any
 import billboards_models
 import bpy
 import numpy as np
-from texmesh_assets import GENERATORS, JUDGING, TUNING, open_asset
+from texmesh_assets import GENERATORS, JUDGING, TUNING, generate, open_asset
 
 import billboards
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud
@@ -103,9 +103,7 @@ def _measure(name: str, random: np.random.Generator, given: Namespace) -> dict[s
 def _open(name: str, seed: int) -> list[bpy.types.Object]:
     """Replace the scene by a model and return its objects."""
     if name in billboards_models.GENERATORS:
-        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-        index = list(billboards_models.GENERATORS).index(name)
-        objects = billboards_models.GENERATORS[name](np.random.default_rng([seed, index]))
+        objects = generate(billboards_models.GENERATORS, name, seed)
         bpy.context.view_layer.update()
         return objects
     if name not in FILES:

@@ -7,6 +7,7 @@ repeated texture coordinates with several materials, and an armature.
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import bpy
 import mathutils
@@ -44,6 +45,7 @@ JUDGING = {
 }
 IMAGE_SIDE = 512  # pixels of generated images
 SHARP_ANGLE = np.radians(35.0)  # between faces at hard edges
+Generated = TypeVar("Generated")
 Patch = tuple[np.ndarray, np.ndarray, int]  # positions (R, C, 3) and texture coordinates (R, C, 2) of a grid, and its material
 
 
@@ -55,12 +57,17 @@ def open_asset(data: Path, name: str, seed: int) -> list[bpy.types.Object]:
         scene_files.open_scene(data / path)
         objects = scene_files.objects_in_renders(data / path)
     else:
-        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-        objects = [GENERATORS[name](np.random.default_rng([seed, list(GENERATORS).index(name)]))]
+        objects = [generate(GENERATORS, name, seed)]
     for armature in bpy.data.armatures:
         armature.pose_position = "REST"
     bpy.context.view_layer.update()
     return objects
+
+
+def generate(generators: dict[str, Callable[[np.random.Generator], Generated]], name: str, seed: int) -> Generated:
+    """Return what the generator of this name adds to an empty scene, with random numbers that depend on its name and the seed."""
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    return generators[name](np.random.default_rng([seed, list(generators).index(name)]))
 
 
 def build_streetlight(generator: np.random.Generator) -> bpy.types.Object:
