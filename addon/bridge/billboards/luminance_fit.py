@@ -27,11 +27,10 @@ from .clouds import create_level_object, list_level_data
 from .level_maps import LevelTextures, PbrMaps
 
 VIEW_COUNT = 12
-FIRST_VIEWS_STEP = 3  # Every third of these views decides whether a level is fitted.
+FIRST_VIEWS = 4  # So many of these views decide whether a level is fitted.
 RESOLUTION = 96  # pixels along the diagonal
 SAMPLES = 2
-ROUNDS = 2
-MAX_DEVIATION = 0.03  # A level whose luminance was within this is not corrected, or not compared again.
+MAX_DEVIATION = 0.03  # A level whose luminance was within this is not corrected, or not rendered again.
 MAX_TRANSPARENT_BOUNCES = 256
 MIN_ALPHA = 0.05  # Colors of pixels with less are not compared.
 MIN_OVERLAP = 0.5  # With less overlap of both silhouettes, the objects have changed since they were read.
@@ -57,11 +56,14 @@ def fit_luminance(
         center, radius = source.bounding_sphere
         pixel_size = 2.0 * radius / RESOLUTION
         views = [OrthographicView(axis, center, RESOLUTION + 2 * MARGIN, pixel_size) for axis in fibonacci_sphere(VIEW_COUNT)]
-        steps = _find_deviating(work, cloud, textures, source.origin, objects, views[::FIRST_VIEWS_STEP])
-        deviating = yield from subprogress(steps, 0.0, 0.3)
+        step = VIEW_COUNT // FIRST_VIEWS
+        views = [view for first in range(step) for view in views[first::step]]  # The first ones are distributed over the sphere.
+        wanted = yield from subprogress(_render_views(work, objects, SAMPLES, views[:FIRST_VIEWS]), 0.0, 0.1)
+        steps = _find_deviating(work, cloud, textures, source.origin, views, wanted)
+        deviating = yield from subprogress(steps, 0.1, 0.3)
         if not deviating:
             return textures
-        wanted = yield from subprogress(_render_views(work, objects, SAMPLES, views), 0.3, 0.4)
+        wanted += yield from subprogress(_render_views(work, objects, SAMPLES, views[FIRST_VIEWS:]), 0.3, 0.4)
         step = 0.6 / len(deviating)
         for index, level in enumerate(deviating):
             steps = _fit_level(work, cloud.levels[level], textures[level], source.origin, views, wanted)
@@ -74,19 +76,18 @@ def _find_deviating(
     cloud: Cloud,
     textures: Sequence[LevelTextures],
     origin: np.ndarray,
-    objects: Sequence[bpy.types.Object],
     views: Sequence[OrthographicView],
+    wanted: Sequence[np.ndarray],
 ) -> Steps[list[int]]:
-    """Return the indices of the levels whose luminance or coverage differs from that of `objects` in one of the few `views`.
+    """Return the indices of the levels whose luminance or coverage differs from one of the renders `wanted` of the first `views`.
 
-    There are none if these are other objects than those that the cloud was built from.
+    There are none if these show other objects than those that the cloud was built from.
     """
-    step = 1.0 / (len(textures) + 1)
-    wanted = yield from subprogress(_render_views(work, objects, SAMPLES, views), 0.0, step)
+    step = 1.0 / len(textures)
     deviating = []
     for index, level in enumerate(cloud.levels):
-        shown, _ = _add_level(work, level, textures[index], origin)
-        renders = yield from subprogress(_render_views(work, [shown], SAMPLES, views), step * (index + 1), step * (index + 2))
+        shown = _add_level(work, level, textures[index], origin)
+        renders = yield from subprogress(_render_views(work, [shown], SAMPLES, views[: len(wanted)]), step * index, step * (index + 1))
         pairs = list(zip(wanted, renders, strict=True))
         if not all(_overlap(*pair) for pair in pairs):
             return []
@@ -120,42 +121,43 @@ def _fit_level(
     quads = level.atlas.quad_map
     is_loose = ~level.joined & [chart is None for chart in level.charts]
     is_thinned = np.append(is_loose, False)[quads]  # A surface that continues must not get holes.
-    step = 1.0 / (ROUNDS + 1)
-    for index in range(ROUNDS):
-        shown, texels = _add_level(work, level, textures, origin)
-        if index == 0:
-            ids = yield from subprogress(_render_views(work, [texels], 1, views), 0.0, step)
-        renders = yield from subprogress(_render_views(work, [shown], SAMPLES, views), step * (index + 1), step * (index + 2))
-        pixels = [_observe(*images, level) for images in zip(wanted, renders, ids, strict=True)]
-        seen = Observations(*(np.concatenate(values) for values in zip(*pixels, strict=True)))
-        gain, balance = seen.compare_luminance()
-        sides = []
-        for maps, is_side in ((textures.front, ~seen.is_back), (textures.back, seen.is_back)):
-            if index == 0:
-                gains = compute_gains(seen.texel[is_side], *seen.luminances(is_side), quads)
-                opacities = compute_gains(seen.texel[is_side], seen.source_alpha[is_side], seen.alpha[is_side], quads)
-                sides.append(_scale(maps, gains[..., None] * balance, np.where(is_thinned, opacities, 1.0)))
-            else:
-                sides.append(_scale(maps, gain * balance * np.ones((*quads.shape, 1), np.float32), np.ones(quads.shape, np.float32)))
-        textures = _scale_specular(replace(textures, front=sides[0], back=sides[1]), gain)
-        if abs(gain - 1.0) <= MAX_DEVIATION:
-            break
-    return textures
+    shown = _add_level(work, level, textures, origin)
+    ids = yield from subprogress(_render_views(work, [_add_texels(work, shown)], 1, views), 0.0, 0.3)
+    renders = yield from subprogress(_render_views(work, [shown], SAMPLES, views), 0.3, 0.6)
+    seen = _observe(wanted, renders, ids, level)
+    gain, balance = seen.compare_luminance()
+    sides = []
+    for maps, is_side in ((textures.front, ~seen.is_back), (textures.back, seen.is_back)):
+        gains = compute_gains(seen.texel[is_side], *seen.luminances(is_side), quads)
+        opacities = compute_gains(seen.texel[is_side], seen.source_alpha[is_side], seen.alpha[is_side], quads)
+        sides.append(_scale(maps, gains[..., None] * balance, np.where(is_thinned, opacities, 1.0)))
+    textures = _scale_specular(replace(textures, front=sides[0], back=sides[1]), gain)
+    if abs(gain - 1.0) <= MAX_DEVIATION:
+        return textures
+    shown = _add_level(work, level, textures, origin)
+    renders = yield from subprogress(_render_views(work, [shown], SAMPLES, views), 0.6, 1.0)
+    gain, balance = _observe(wanted, renders, ids, level).compare_luminance()
+    front, back = (_scale(maps, gain * balance, np.ones(1)) for maps in (textures.front, textures.back))
+    return _scale_specular(replace(textures, front=front, back=back), gain)
 
 
-def _add_level(work: RenderScene, level: Level, textures: LevelTextures, origin: np.ndarray) -> tuple[bpy.types.Object, bpy.types.Object]:
-    """Add a level to the scene twice: as users see it, and with the indices of its texels."""
+def _add_level(work: RenderScene, level: Level, textures: LevelTextures, origin: np.ndarray) -> bpy.types.Object:
+    """Add a level to the scene as users see it."""
     groups = set(bpy.data.node_groups)
     shown = create_level_object("Farfield Luminance Fit", level, textures, origin)
-    material = shown.data.materials[0]
     for data in (*set(bpy.data.node_groups).difference(groups), *list_level_data(shown)):
         work.own(data)
     work.scene.collection.objects.link(shown)
+    return shown
+
+
+def _add_texels(work: RenderScene, shown: bpy.types.Object) -> bpy.types.Object:
+    """Add the level `shown` once more, with the indices of its texels."""
     texels = work.add_object(shown.data)
     texels.location = shown.location
     texels.material_slots[0].link = "OBJECT"
-    texels.material_slots[0].material = work.own(create_texel_material(material))
-    return shown, texels
+    texels.material_slots[0].material = work.own(create_texel_material(shown.data.materials[0]))
+    return texels
 
 
 def _render_views(
@@ -212,10 +214,11 @@ class Observations(NamedTuple):
         return gain, np.clip(wanted / np.maximum(shown * gain, TINY), MIN_BALANCE, 1.0 / MIN_BALANCE).astype(np.float32)
 
 
-def _observe(source: np.ndarray, image: np.ndarray, texels: np.ndarray, level: Level) -> Observations:
+def _observe(sources: Sequence[np.ndarray], images: Sequence[np.ndarray], texels: Sequence[np.ndarray], level: Level) -> Observations:
     """Return what the renders (H, W, 4) of the source, of the level and of its texels show."""
-    is_seen, size = texels[..., 2] > 0.5, level.atlas.size
-    coordinates = texels[is_seen]
+    source, image, texel = (np.concatenate(renders) for renders in (sources, images, texels))
+    is_seen, size = texel[..., 2] > 0.5, level.atlas.size
+    coordinates = texel[is_seen]
     column, row = (np.clip((coordinates[:, axis] * size[axis]).astype(np.int64), 0, size[axis] - 1) for axis in (0, 1))
     colors = image[is_seen], source[is_seen]
     alphas = (color[:, 3] for color in colors)
@@ -223,7 +226,7 @@ def _observe(source: np.ndarray, image: np.ndarray, texels: np.ndarray, level: L
 
 
 def _scale(maps: PbrMaps, gains: np.ndarray, opacities: np.ndarray) -> PbrMaps:
-    """Return `maps` with straight colors times `gains` (H, W, 3) and alpha times `opacities` (H, W), both at most 1.
+    """Return `maps` with straight colors times `gains` (H, W, 3) or (3,), and alpha times `opacities` (H, W) or (1,), both at most 1.
 
     Their product over all rounds is the near visibility.
     """

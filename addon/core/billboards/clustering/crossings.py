@@ -13,7 +13,7 @@ from ...imaging.raster import draw_ids, rasterize
 from ..cloud import RECTANGLE
 from ..primitives import Primitives
 from .patches import Covering, Patch
-from .rectangles import compute_bounds, enclosing_rectangle
+from .rectangles import compute_bounds, enclosing_rectangle, rectangle_area
 
 MIN_THICKNESS = 0.5  # Of a rod over its width.
 MIN_LOSS = 0.02  # Of the silhouette of the source from one side; less is not worth the triangles.
@@ -43,8 +43,7 @@ def add_crossings(primitives: Primitives, sheets: np.ndarray, covering: Covering
     for _ in range(MAX_DIRECTIONS):
         if not rods:
             break
-        sizes = {index: np.ptp(patches[index].rectangle[:2]) * np.ptp(patches[index].rectangle[2:]) for index in rods}
-        largest = max(sizes, key=sizes.__getitem__)
+        largest = max(rods, key=lambda index: rectangle_area(patches[index].rectangle))
         direction = rods[largest]
         near = [index for index, edge in rods.items() if abs(edge @ direction) >= MIN_COSINE]
         along = np.cross(patches[largest].normal, direction)
@@ -60,16 +59,21 @@ def add_crossings(primitives: Primitives, sheets: np.ndarray, covering: Covering
 
 def _is_rod(primitives: Primitives, patch: Patch, error: float) -> bool:
     """Return whether a crossing quad of `patch` would show it within `error`, and be wide enough."""
-    width = min(np.ptp(patch.rectangle[:2]), np.ptp(patch.rectangle[2:]))
+    width = _measure_sides(patch).min()
     if patch.is_fixed or width > 2.0 * error:
         return False
     heights = primitives.positions[patch.drawn] @ patch.normal
     return bool(np.ptp(heights) >= MIN_THICKNESS * width)
 
 
+def _measure_sides(patch: Patch) -> np.ndarray:
+    """Return the lengths (2,) of the sides of `patch` along its axes."""
+    return np.ptp(patch.rectangle.reshape(2, 2), axis=1)
+
+
 def _compute_edge(patch: Patch) -> np.ndarray:
     """Return the direction (3,) in the plane of `patch` across its longer side."""
-    return patch.axes[1 if np.ptp(patch.rectangle[:2]) >= np.ptp(patch.rectangle[2:]) else 0]
+    return patch.axes[1 - _measure_sides(patch).argmax()]
 
 
 def _count_lost_pixels(primitives: Primitives, covering: Covering, direction: np.ndarray, error: float) -> np.ndarray:
