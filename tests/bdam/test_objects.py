@@ -11,11 +11,14 @@ from farfield.addon.bridge.bdam import objects as terrain_objects
 from farfield.addon.bridge.bdam.materials import LEVEL_ATTRIBUTE, TEXTURE_KEY, USED_KEY, mark_used, remove_unused
 from farfield.addon.bridge.bdam.objects import SceneTerrain, TerrainChange
 from farfield.addon.bridge.geometry.mesh_arrays import read_attribute, read_loop_vertices, read_positions, read_uvs
+from farfield.addon.bridge.geometry.mesh_pool import spare_meshes
 from farfield.addon.core.bdam.settings import ViewSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
 from farfield.addon.core.bdam.view.engine import BdamEngine
+from farfield.addon.core.errors import GeometryError
 from farfield.addon.core.geometry.viewers import Projection, Viewer
 from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.operators.bdam.job import ShowJob
 from small_terrain_stores import add_texture, build_store, colors, hills
 
 pytest.importorskip("PIL")
@@ -212,3 +215,13 @@ def test_removing_a_terrain_leaves_nothing(folder):
     terrain_objects.remove(terrain)
     assert not bpy.data.objects and not bpy.data.images and not bpy.data.materials and not bpy.data.collections
     assert not [mesh for mesh in bpy.data.meshes if mesh.users]
+
+
+def test_undo_before_tiles_are_shown_leaves_nothing_behind(folder):
+    job = ShowJob(BdamEngine(folder, ViewSettings(tolerance=4.0)), viewer_at(100.0, 100.0, 600.0), str(folder))
+    steps = job.scene_steps(run_to_end(job.core_steps()))
+    next(step for step in steps if step.label == "Showing meshes")
+    bpy.data.batch_remove(spare_meshes(terrain_objects.POOL))  # as before undo
+    with pytest.raises(GeometryError, match="Undo has removed"):
+        next(steps)
+    assert not bpy.data.objects and job.terrain is None

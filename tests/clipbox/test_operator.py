@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from farfield.addon.bridge.clipbox import objects as terrain_objects
+from farfield.addon.bridge.geometry.mesh_pool import spare_meshes
 from farfield.addon.core.clipbox import engine as engine_module
 from farfield.addon.core.clipbox.settings import ClipboxSettings
 from farfield.addon.core.clipbox.terrains.generators import Sampler
@@ -46,6 +47,17 @@ def create_at(position):
 def ground_group(terrain):
     """The group node of the terrain material."""
     return next(node for node in terrain.material.node_tree.nodes if node.type == "GROUP")
+
+
+def test_undo_before_meshes_are_shown_leaves_nothing_behind():
+    job = clipbox_job.prepare(ClipboxSettings(**SMALL), np.array([0.0, 0.0, 10.0]))
+    steps = job.scene_steps(run_to_end(job.core_steps()))
+    next(step for step in steps if step.label == "Showing meshes")
+    bpy.data.batch_remove(spare_meshes(terrain_objects.POOL))  # as before undo
+    before = set(bpy.data.objects)
+    with pytest.raises(GeometryError, match="Undo has removed"):
+        next(steps)
+    assert set(bpy.data.objects) == before and job.terrain is None
 
 
 def test_terrain_is_created_around_the_camera_from_regular_meshes():

@@ -22,7 +22,7 @@ from ...core.errors import FileError
 from ...core.files.file_access import is_folder
 from ...core.json_values import parse_json
 from ..geometry.mesh_arrays import write_attribute, write_triangles
-from ..geometry.mesh_pool import PendingMeshes, claim, mark_spare
+from ..geometry.mesh_pool import PendingMeshes, check_pending, claim, mark_spare
 from ..terrain_roots import TerrainRoot, remove_terrain
 from .materials import LEVEL_ATTRIBUTE, MATERIAL_KEY, TextureMaterials, create_material, mark_used, remove_unused
 
@@ -148,6 +148,10 @@ class TerrainChange:
             yield
             number, tile = block.texture
             self._textures.ensure(number, f"{self._terrain.name} {self._engine.texture_label(number)}", tile)
+
+    def check_pending(self) -> None:
+        """Check that undo has not removed the filled meshes; see `mesh_pool.check_pending`."""
+        check_pending(self._meshes.names.values())
 
     def show(self, update: Update) -> Iterator[None]:
         """Show all meshes at once. The meshes that they replace become spare."""

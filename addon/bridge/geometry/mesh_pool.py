@@ -4,11 +4,12 @@ A pool is a word. Its spare meshes are those without users whose custom property
 opened, cannot make it wrong.
 """
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterable
 
 import bpy
 import numpy as np
 
+from ...core.errors import GeometryError
 from .mesh_arrays import write_attribute, write_corner_normals, write_triangles
 
 SPARE_KEY = "farfield_spare_mesh"  # custom property of meshes that are not shown
@@ -80,6 +81,16 @@ def fill_mesh(
 def _write_faces(mesh: bpy.types.Mesh, name: str, data_type: str, values: np.ndarray) -> None:
     """Create an attribute with one value per face; `values` (T,) has the type that Blender stores."""
     mesh.attributes.new(name, data_type, "FACE").data.foreach_set("value", values)
+
+
+def check_pending(names: Iterable[str]) -> None:
+    """Check that pending meshes, given by name, can be shown, before anything else is created.
+
+    Raises:
+        GeometryError: one of them was removed, as undo does.
+    """
+    if not all(bpy.data.meshes.get((name, None)) for name in names):
+        raise GeometryError("Undo has removed meshes of this command before they were shown. Run it again.")
 
 
 def claim(name: str) -> bpy.types.Mesh:

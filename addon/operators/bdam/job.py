@@ -36,7 +36,7 @@ class ShowJob:
         """Fill meshes, then show them. Returns the message for the user.
 
         Raises:
-            GeometryError: the terrain was removed during the update.
+            GeometryError: the terrain or its new meshes were removed during the update.
         """
         is_new = self.terrain is None
         if not is_new and self.terrain.root is None:
@@ -49,6 +49,7 @@ class ShowJob:
             for _ in change.fill(*blocks.get_nowait()):
                 pass
         yield Progress(count / (count + 1), "Showing meshes")
+        change.check_pending()
         if is_new:
             self.terrain = terrain_objects.create_root(bpy.context.scene, self.path, self.engine)
             self.terrain.select(bpy.context.view_layer)

@@ -11,6 +11,7 @@ from ...bridge.clipbox import sources
 from ...bridge.clipbox.materials import GroundImage, create_terrain_material
 from ...bridge.clipbox.objects import SceneTerrain
 from ...bridge.clipbox.sources import absolute_path
+from ...bridge.geometry.mesh_pool import check_pending
 from ...bridge.imaging.image_files import check_openexr
 from ...core.clipbox.engine import NO_SURFACE, TerrainEngine, Update, check_viewer
 from ...core.clipbox.files.readers import BLEND_PREFIX, check_path
@@ -53,7 +54,7 @@ class TerrainJob:
         """Show the surfaces. Returns the message for the user.
 
         Raises:
-            GeometryError: the terrain to update was removed, or the boxes contain no surface.
+            GeometryError: the boxes contain no surface, or undo has removed the terrain to update or its new meshes.
         """
         settings = self.settings
         if not core_result.meshes:
@@ -61,6 +62,7 @@ class TerrainJob:
         origin = self.terrain.origin if self.terrain is not None else choose_terrain_origin(self.viewer, settings)
         mesh_names = yield from subprogress(terrain_objects.fill_meshes(core_result, origin, settings), 0.0, 0.99)
         yield Progress(0.99, "Showing meshes")
+        check_pending(mesh_names.values())
         ground_image = find_ground_image(settings, origin)
         if self.terrain is None:
             self.terrain = terrain_objects.create_root(bpy.context.scene, settings, self.viewer, origin)
