@@ -22,7 +22,7 @@ METHODS = {
     "hough": methods.cover_by_hough,
     "decimate": methods.cover_by_decimation,
 }
-OVERLAP_MARGIN = 0.25  # In errors: quads of a convex surface that meet at 30 degrees leave a gap of about this width.
+OVERLAP_MARGIN = 0.5  # In errors: quads that meet at an edge with a bevel leave a gap of up to about this width.
 ROUNDING_MARGIN = 1e-4  # In errors: reserve for rounding to single precision in Blender and in files.
 MAX_BACK_FRACTION = 0.25  # Of the area that a quad shows: where more faces away, it shows both sides of a plate.
 MIN_HALF_SIZE = 1e-12  # In texels: replaces the half size 0 of a quad without height, a divisor.

@@ -20,6 +20,7 @@ from .clustering.hierarchy import ClusterBounds, merge_in_rounds
 from .clustering.patches import Covering, Patch, assign_groups, best_facing_patch, group_by_label, merge_coverings
 from .clustering.planes import PlaneBounds, Planes
 from .clustering.rectangles import fit_rectangle
+from .clustering.refits import refit_planes
 from .decimation.triangle_patches import build_triangle_patches, cover_flat_surfaces
 from .primitives import Components, Primitives
 from .scale_normals import at_scale
@@ -106,6 +107,7 @@ class _Clustering:
             if settings.normal_scale > 0.0:
                 if not settings.keeps_all_levels:  # The next level must be able to show what each quad owns within the same limits.
                     patches = absorb_small_patches(scaled, sheets, patches, error)
+                    patches = refit_planes(scaled, patches, plane_bounds)
                 patches = complete_regions(self.primitives, sheets, patches, error)
         owner = assign_groups(scaled, patches, groups) if finer else best_facing_patch(scaled, patches)
         return Covering(patches, owner)
