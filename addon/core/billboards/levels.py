@@ -22,7 +22,6 @@ METHODS = {
     "hough": methods.cover_by_hough,
     "decimate": methods.cover_by_decimation,
 }
-OVERLAP_MARGIN = 0.5  # In errors: quads that meet at an edge with a bevel leave a gap of up to about this width.
 ROUNDING_MARGIN = 1e-4  # In errors: reserve for rounding to single precision in Blender and in files.
 MAX_BACK_FRACTION = 0.25  # Of the area that a quad shows: where more faces away, it shows both sides of a plate.
 MIN_HALF_SIZE = 1e-12  # In texels: replaces the half size 0 of a quad without height, a divisor.
@@ -111,7 +110,7 @@ class LevelBuilder:
 def build_level(primitives: Primitives, covering: Covering, components: Components, error: float, settings: BillboardSettings) -> Level:
     """Build quads, atlas and cutouts of one level."""
     shared = find_shared_surfaces(components, covering.owner)
-    covering = extend_overlaps(primitives, covering, shared, OVERLAP_MARGIN * error)
+    covering = extend_overlaps(primitives, covering, shared, error)
     quads = to_quads(covering.patches, covering.owner)
     texel_size = settings.texel_size * error
     cutouts = [

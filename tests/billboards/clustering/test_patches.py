@@ -62,11 +62,19 @@ class TestOverlapping:
         primitives = make_row(6)
         patches = [make_patch(primitives, 0.0, 3.0), make_patch(primitives, 3.0, 6.0)]
         covering = Covering(patches, np.repeat([0, 1], 6).astype(np.int32))
-        extended = extend_overlaps(primitives, covering, np.ones(12, bool), 0.25)
-        np.testing.assert_allclose(extended.patches[0].rectangle, [-0.25, 3.25, -0.25, 1.25])
+        extended = extend_overlaps(primitives, covering, np.ones(12, bool), 0.1)
+        np.testing.assert_allclose(extended.patches[0].rectangle, [-0.05, 3.05, -0.05, 1.05])
         np.testing.assert_array_equal(extended.patches[0].drawn, np.arange(8))
         np.testing.assert_array_equal(extended.patches[1].drawn, np.arange(4, 12))
         np.testing.assert_array_equal(extended.owner, covering.owner)
+
+    @pytest.mark.parametrize(("error", "margin"), [(0.1, 0.05), (0.2, 0.0625), (0.5, 0.125)])
+    def test_narrow_patches_are_extended_by_fewer_errors(self, error, margin):
+        primitives = make_row(6)
+        patches = [make_patch(primitives, 0.0, 3.0), make_patch(primitives, 3.0, 6.0)]
+        covering = Covering(patches, np.repeat([0, 1], 6).astype(np.int32))
+        (first, _) = extend_overlaps(primitives, covering, np.ones(12, bool), error).patches
+        np.testing.assert_allclose(first.rectangle, [-margin, 3.0 + margin, -margin, 1.0 + margin])
 
     def test_leaves_are_drawn_once(self):
         primitives = make_row(4)

@@ -8,6 +8,11 @@ from ..cloud import Chart, Quads
 from ..primitives import Primitives
 from .rectangles import compute_bounds
 
+# Extension of the patches of one surface over each other, in errors: quads that meet at an edge with a bevel leave a gap of up to about
+# MAX_MARGIN. Narrow patches are extended by less, at least MIN_MARGIN, since a column would become thicker.
+MIN_MARGIN, MAX_MARGIN = 0.25, 0.5
+MARGIN_FRACTION = 1.0 / 16.0  # Of the shorter side.
+
 
 @dataclass(frozen=True)
 class Patch:
@@ -89,12 +94,12 @@ def merge_coverings(parts: list[tuple[np.ndarray, Covering]], count: int) -> Cov
     return Covering(patches, owner)
 
 
-def extend_overlaps(primitives: Primitives, covering: Covering, shared: np.ndarray, margin: float) -> Covering:
+def extend_overlaps(primitives: Primitives, covering: Covering, shared: np.ndarray, error: float) -> Covering:
     """Choose what is drawn on every patch, so that no crack opens between two quads of one surface.
 
-    Each patch of a connected surface with several quads is extended by `margin` (a length) and also draws the adjacent primitives within
-    its bounds. Other components, such as leaves, are drawn on one quad only: a second image would blur their outline. Patches with an
-    outline or a chart do not change; patches without drawn primitives are removed.
+    Each patch of a connected surface with several quads is extended, by at most MAX_MARGIN of `error`, a length, and also draws the
+    adjacent primitives within its bounds. Other components, such as leaves, are drawn on one quad only: a second image would blur their
+    outline. Patches with an outline or a chart do not change; patches without drawn primitives are removed.
 
     Args:
         shared: (P,) bool from `find_shared_surfaces`.
@@ -107,6 +112,7 @@ def extend_overlaps(primitives: Primitives, covering: Covering, shared: np.ndarr
             continue
         rectangle = patch.rectangle
         if shared[patch.drawn].any():
+            margin = np.clip(MARGIN_FRACTION * np.ptp(rectangle.reshape(2, 2), axis=1).min(), MIN_MARGIN * error, MAX_MARGIN * error)
             rectangle = rectangle + margin * np.array([-1.0, 1.0, -1.0, 1.0])
         bounds = compute_bounds(primitives.positions[patch.region], patch.axes)
         overlaps = (

@@ -1,7 +1,7 @@
 """Planes of patches through most of the area that they show, as far as their error allows.
 
-The minimax plane lies midway between the outermost points: the quad of a roof with a bevel is tilted and lies below the roof, so that it does
-not meet the walls. A plane through the roof itself leaves the bevel within the error as well.
+The minimax plane lies midway between the outermost points: the quad of a roof with a bevel is tilted and lies below the roof, so that it
+does not meet the walls. A plane through the roof itself leaves the bevel within the error as well.
 """
 
 from dataclasses import replace
@@ -15,6 +15,7 @@ from .planes import PlaneBounds
 from .rectangles import compute_bounds, enclosing_rectangle, is_inside
 
 FRACTIONS = np.linspace(1.0, 0.0, 9)  # Of the way from the minimax normal to that of least squares, in the order of the attempts.
+MAX_RATIO = 0.8  # Of the root-mean-square distances after and before: a curved surface, such as a column, stays on its minimax plane.
 ROUNDING = 1e-9  # Relative tolerance of distances, and that of cosines.
 
 
@@ -36,7 +37,12 @@ def _refit(primitives: Primitives, patch: Patch, required: np.ndarray, error: fl
         return patch
     normals, positions = primitives.normals[required], primitives.positions[required]
     facing = normals @ patch.normal
-    center, target = _fit_least_squares(primitives, required, np.abs(facing))
+    center, spread = _measure_area(primitives, required, np.abs(facing))
+
+    def mean_square(normal: np.ndarray, offset: float) -> float:
+        return float(normal @ spread @ normal + (center @ normal - offset) ** 2)
+
+    target = np.linalg.eigh(spread)[1][:, 0]
     target *= np.copysign(1.0, target @ patch.normal)
     turned = normals[facing >= min_cosine]
     for fraction in FRACTIONS:
@@ -45,19 +51,20 @@ def _refit(primitives: Primitives, patch: Patch, required: np.ndarray, error: fl
         heights = positions @ normal
         low, high = float(heights.max()) - error, float(heights.min()) + error
         if low <= high and (turned @ normal >= min_cosine - ROUNDING).all():
-            return _move(primitives, patch, normal, float(np.clip(center @ normal, low, high)), error)
+            offset = float(np.clip(center @ normal, low, high))
+            is_better = mean_square(normal, offset) < MAX_RATIO**2 * mean_square(patch.normal, patch.offset)
+            return _move(primitives, patch, normal, offset, error) if is_better else patch
     return patch
 
 
-def _fit_least_squares(primitives: Primitives, drawn: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the center (3,) and the normal (3,) of the least-squares plane of the area of primitives, weighted by `weights` (K,)."""
+def _measure_area(primitives: Primitives, drawn: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the center (3,) and the covariance (3, 3) of the area of primitives, weighted by `weights` (K,)."""
     weights = primitives.areas[drawn] * weights + TINY
     weights /= weights.sum()
     centers = primitives.positions[drawn].mean(axis=1)
     center = weights @ centers
     offsets = centers - center
-    spread = np.einsum("k,kij->ij", weights, primitives.covariances[drawn]) + (weights[:, None] * offsets).T @ offsets
-    return center, np.linalg.eigh(spread)[1][:, 0]
+    return center, np.einsum("k,kij->ij", weights, primitives.covariances[drawn]) + (weights[:, None] * offsets).T @ offsets
 
 
 def _move(primitives: Primitives, patch: Patch, normal: np.ndarray, offset: float, error: float) -> Patch:
