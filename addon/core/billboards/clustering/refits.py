@@ -75,14 +75,13 @@ def _move(primitives: Primitives, patch: Patch, normal: np.ndarray, offset: floa
     old = patch.rectangle.reshape(2, 2)
     center = axes @ (old.mean(axis=1) @ patch.axes + patch.offset * patch.normal)
     rectangle = (center[:, None] + 0.5 * np.ptp(old, axis=1)[:, None] * [-1.0, 1.0]).ravel()
-    drawn, region = (indices[_is_near(primitives, indices, normal, offset, error)] for indices in (patch.drawn, patch.region))
+    bounds = PlaneBounds(error * (1.0 + ROUNDING))
+    drawn, region = (
+        indices[bounds.contain(primitives.positions[indices], primitives.normals[indices], normal, offset)]
+        for indices in (patch.drawn, patch.region)
+    )
     positions = primitives.positions[drawn]
     enclosed = is_inside(compute_bounds(positions, patch.axes), patch.rectangle)
     if enclosed.any():
         rectangle = enclosing_rectangle(np.stack([rectangle, *compute_bounds(positions[enclosed], axes)]))
     return replace(patch, normal=normal, offset=offset, axes=axes, rectangle=rectangle, drawn=drawn, region=region)
-
-
-def _is_near(primitives: Primitives, indices: np.ndarray, normal: np.ndarray, offset: float, error: float) -> np.ndarray:
-    """Return which of the primitives `indices` (K,) are within `error` of a plane."""
-    return (np.abs(primitives.positions[indices] @ normal - offset) <= error * (1.0 + ROUNDING)).all(axis=1)
