@@ -25,7 +25,7 @@ BUTTON = "farfield.btf_bake"
 SETTINGS = {
     "views_per_side": 4,
     "lights_per_side": 7,
-    "samples": 160,  # rendering must take longer than what this session does before Esc, also where the window responds slowly
+    "samples": 800,  # rendering must take longer than what this session does before Esc, also where the window responds slowly
     "components": 4,
     "alpha_components": 4,
     "shadows_per_side": 8,

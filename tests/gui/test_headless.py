@@ -1,7 +1,6 @@
 """The Blender program without a window runs the scripts like pip's bpy: same results, exit codes and messages."""
 
 import json
-import math
 import subprocess
 import sys
 
@@ -29,22 +28,21 @@ def run_with_pip_bpy(*arguments):
 
 
 @pytest.fixture
-def pebble(tmp_path):
-    """A file with an irregular ball: no two choices are equally good, so that the rounding of another NumPy version has no effect."""
-    bpy.ops.mesh.primitive_uv_sphere_add()
-    for vertex in bpy.context.object.data.vertices:
-        x, y, z = vertex.co
-        vertex.co *= 1.0 + 0.1 * math.sin(2.3 * x + 1.1 * y) + 0.07 * math.cos(3.1 * z - 1.7 * y + 0.4 * x)
-    path = tmp_path / "kiesel ü.obj"
+def boxes(tmp_path):
+    """A file with three boxes of different shapes: planes of flat sides do not depend on the rounding of another NumPy version."""
+    for position, size in ((0.0, (1.0, 0.8, 0.6)), (1.3, (0.9, 0.5, 0.7)), (2.4, (0.6, 1.1, 0.8))):
+        bpy.ops.mesh.primitive_cube_add(size=1.0, location=(position, 0.2 * position, 0.0), rotation=(position, 0.3, 0.5 * position))
+        bpy.context.object.scale = size
+    path = tmp_path / "würfel.obj"
     bpy.ops.wm.obj_export(filepath=str(path), export_materials=False)
     return path
 
 
-def test_both_build_the_same_cloud(pebble):
+def test_both_build_the_same_cloud(boxes):
     reports = []
     for index, run in enumerate((run_in_blender, run_with_pip_bpy)):
-        out, report_path = pebble.with_name(f"{index}.blend"), pebble.with_name(f"{index}.json")
-        outcome = run(pebble, "--out", out, "--report", report_path, *FLAGS)
+        out, report_path = boxes.with_name(f"{index}.blend"), boxes.with_name(f"{index}.json")
+        outcome = run(boxes, "--out", out, "--report", report_path, *FLAGS)
         assert outcome.returncode == 0, outcome
         assert out.stat().st_size > 10_000
         assert "Saved" not in outcome.stdout, "messages of Blender reach stdout"
@@ -52,11 +50,11 @@ def test_both_build_the_same_cloud(pebble):
         assert report["uncovered_faces"] == 0 and report["max_plane_distance"] <= 1.0
         reports.append(report["levels"])
     for first, second in zip(*reports, strict=True):
-        assert first["quads"] == second["quads"]
+        assert first["quads"] == second["quads"] >= 3
         assert first["texels"] == pytest.approx(second["texels"], rel=0.01)
 
 
-def test_invalid_input_is_an_error_message_and_code_2(pebble):
-    outcome = run_in_blender(pebble.with_name("nowhere.obj"), "--out", pebble.with_name("out.blend"))
+def test_invalid_input_is_an_error_message_and_code_2(boxes):
+    outcome = run_in_blender(boxes.with_name("nowhere.obj"), "--out", boxes.with_name("out.blend"))
     assert outcome.returncode == 2
     assert "nowhere.obj" in outcome.stderr and "Traceback" not in outcome.stderr
