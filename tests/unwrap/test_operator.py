@@ -76,6 +76,15 @@ def test_a_sphere_gets_its_own_uv_map():
     assert max(stretches) == pytest.approx(metrics["linf"], rel=1e-3)
 
 
+def test_a_face_has_the_stretch_of_its_triangle_that_is_farthest_from_1():
+    item = add_mesh("Quad", SQUARE, [(0, 1, 2, 3)])
+    target = uv_maps.read_uv_target(item, None)
+    corner_uvs = target.mesh.corners[:, :, :2]
+    for stretches, expected in (([1.5, 0.5], 0.5), ([0.9, 4.0], 4.0), ([np.inf, 0.5], np.finfo(np.float32).max)):
+        uv_maps.write_uv_map(target, corner_uvs, np.array(stretches), "Unwrap", {})
+        assert item.data.attributes[uv_maps.STRETCH_ATTRIBUTE].data[0].value == pytest.approx(expected)
+
+
 def test_concave_polygons_are_not_cut():
     item = add_mesh("House", [*SQUARE, (0.5, 1.6, 0.0), (0.5, 0.5, 1.0)], [(0, 1, 2, 4, 3), (1, 0, 5)])
     unwrap()
