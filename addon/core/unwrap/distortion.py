@@ -41,6 +41,17 @@ class Stretches:
         """The one of both stretches (T,) that is farther from 1: above 1 where the map is compressed, below 1 where it is expanded."""
         return np.where(self.max_stretch * self.min_stretch >= 1.0, self.max_stretch, self.min_stretch)
 
+    @property
+    def anisotropy(self) -> np.ndarray:
+        """The ratio (T,) of both stretches, 1 or more."""
+        is_finite = (self.max_stretch < np.inf) & (self.min_stretch > 0.0)
+        return np.divide(self.max_stretch, self.min_stretch, out=np.full(len(is_finite), np.inf), where=is_finite)
+
+    @property
+    def is_needle(self) -> np.ndarray:
+        """Triangles (T,) bool that are anisotropic and expanded by more than `MAX_NEEDLE_EXPANSION`."""
+        return (self.anisotropy > MAX_ANISOTROPY) & (self.min_stretch * MAX_NEEDLE_EXPANSION < 1.0)
+
 
 @dataclass(frozen=True)
 class DistortionMetrics:
@@ -89,7 +100,7 @@ def compute_stretches(mesh: TriangleMesh, corner_uvs: np.ndarray) -> Steps[Stret
     determinants = jacobians.determinants
     areas, _ = face_areas_and_normals(mesh.corners)
     yield Progress(0.0, "Measuring")
-    scale = np.sqrt(areas @ np.abs(determinants) / areas.sum())
+    scale = np.sqrt(areas @ np.abs(determinants) / (areas.sum() or 1.0))
     # Singular values s1 >= s2 from s1^2 + s2^2 and s1 s2; s2 = determinant / s1 keeps precision.
     half_difference = np.sqrt(np.maximum(jacobians.frobenius_squared**2 - 4.0 * determinants**2, 0.0))
     largest = np.sqrt(0.5 * (jacobians.frobenius_squared + half_difference))
@@ -112,13 +123,12 @@ def measure_distortion(
     max_stretch, min_stretch = stretches.max_stretch[measurable], stretches.min_stretch[measurable]
     squares = max_stretch**2 + min_stretch**2
     p95, p99 = _percentiles(max_stretch, weights)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore"):
         inverse_squares = 1.0 / max_stretch**2 + 1.0 / min_stretch**2
-        anisotropy = np.where(np.isinf(max_stretch), np.inf, max_stretch / min_stretch)
         dirichlet = 2.0 * np.sqrt((weights @ squares) * (weights @ inverse_squares))  # The best scale balances both means.
     uv_areas = np.abs(signed_areas(corner_uvs))
     used_texture = uv_areas[measurable] / uv_areas[measurable].sum()
-    is_anisotropic = anisotropy > MAX_ANISOTROPY
+    anisotropy = stretches.anisotropy[measurable]
     yield Progress(0.0, "Measuring")
     overlaps = yield from count_overlaps(corner_uvs)
     return DistortionMetrics(
@@ -129,8 +139,8 @@ def measure_distortion(
         max_expansion=float(1.0 / min_stretch.min()),
         symmetric_dirichlet=float(dirichlet),
         anisotropy_p99=_percentiles(anisotropy, weights)[1],
-        anisotropic_fraction=float(used_texture[is_anisotropic].sum()),
-        needles=float(used_texture[is_anisotropic & (min_stretch * MAX_NEEDLE_EXPANSION < 1.0)].sum()),
+        anisotropic_fraction=float(used_texture[anisotropy > MAX_ANISOTROPY].sum()),
+        needles=float(used_texture[stretches.is_needle[measurable]].sum()),
         flips=int(stretches.is_flipped.sum()),
         overlaps=overlaps,
         min_quality=float(min_height_to_base(corner_uvs).min()),
