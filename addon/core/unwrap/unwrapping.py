@@ -19,7 +19,7 @@ from .parameterization.parameterize import Balance, Boundary, parameterize
 from .settings import UnwrapSettings
 
 CUTTING_END, PARAMETERIZATION_END, PACKING_END = 0.1, 0.9, 0.95  # Fractions of the progress bar.
-MAX_CUT_ROUNDS = 3  # In each a chart is cut towards all its most distorted parts.
+MAX_CUT_ROUNDS = 2  # In each a chart is cut towards all its most distorted parts.
 MAX_EXCESS = 0.3  # Of symmetric Dirichlet energy over 4: charts with more in one piece are cut further.
 MAX_NEEDLES = 0.003  # As a fraction of a chart's map, above which it is cut further.
 MIN_CHART_AREA = 1e-7  # As a fraction of the total area.
