@@ -87,7 +87,8 @@ MODELS = {f"{name}_{seed}": (build, seed) for name, (build, count) in BUILDERS.i
 
 
 def build_model(name: str) -> TriangleMesh:
-    """Return one of `MODELS`."""
+    """Return one of `MODELS`, in a new scene."""
+    bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
     build, seed = MODELS[name]
     return build(seed)
 
@@ -116,15 +117,18 @@ def hand_bones(wrist: np.ndarray, frame: np.ndarray, random: np.random.Generator
 
 def build_body(bones: Iterable[Bone], voxel_size: float, cut_height: float) -> TriangleMesh:
     """Return the surface around `bones` above `cut_height`, open there."""
-    balls = bmesh.new()
+    ball = bmesh.new()
+    bmesh.ops.create_icosphere(ball, subdivisions=2, radius=1.0)
+    unit, sides = np.array([vertex.co for vertex in ball.verts]), np.array([[v.index for v in face.verts] for face in ball.faces])
+    ball.free()
+    vertices = []
     for start, radius, end, end_radius in bones:
         start, end = np.array(start, float), np.array(end, float)
         for t in np.linspace(0.0, 1.0, 2 + int(np.linalg.norm(end - start) / (BALL_SPACING * min(radius, end_radius)))):
-            ball = bmesh.ops.create_icosphere(balls, subdivisions=2, radius=radius + t * (end_radius - radius))
-            bmesh.ops.translate(balls, verts=ball["verts"], vec=start + t * (end - start))
+            vertices.append((radius + t * (end_radius - radius)) * unit + start + t * (end - start))
+    faces = (sides + len(unit) * np.arange(len(vertices))[:, None, None]).reshape(-1, 3)
     mesh = bpy.data.meshes.new("Body")
-    balls.to_mesh(mesh)
-    balls.free()
+    mesh.from_pydata(np.concatenate(vertices), [], faces.tolist())
     item = bpy.data.objects.new("Body", mesh)
     bpy.context.scene.collection.objects.link(item)
     remesh, smooth = item.modifiers.new("Remesh", "REMESH"), item.modifiers.new("Smooth", "SMOOTH")
@@ -135,6 +139,7 @@ def build_body(bones: Iterable[Bone], voxel_size: float, cut_height: float) -> T
     bmesh.ops.bisect_plane(
         surface, geom=geometry, dist=0.1 * voxel_size, plane_co=(0, 0, cut_height), plane_no=(0, 0, -1), clear_outer=True
     )
+    bmesh.ops.dissolve_degenerate(surface, dist=0.02 * voxel_size, edges=surface.edges)
     bmesh.ops.triangulate(surface, faces=surface.faces)
     cut = bpy.data.meshes.new("Cut")
     surface.to_mesh(cut)

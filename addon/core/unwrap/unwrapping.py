@@ -19,7 +19,7 @@ from .parameterization.parameterize import Balance, Boundary, parameterize
 from .settings import UnwrapSettings
 
 CUTTING_END, PARAMETERIZATION_END, PACKING_END = 0.1, 0.9, 0.95  # Fractions of the progress bar.
-MAX_CUT_ROUNDS = 2  # In each a chart is cut towards all its most distorted parts.
+MAX_CUT_ROUNDS = 2  # In each a chart is cut towards all its most distorted parts; in the second one only because of needles.
 MAX_EXCESS = 0.3  # Of symmetric Dirichlet energy over 4: charts with more in one piece are cut further.
 MAX_NEEDLES = 0.003  # As a fraction of a chart's map, above which it is cut further.
 MIN_CHART_AREA = 1e-7  # As a fraction of the total area.
@@ -112,8 +112,9 @@ def _parameterize_chart(cut: CutChart, settings: UnwrapSettings, rounds_left: in
         return [(cut, uv)]
     if boundary is not Boundary.FREE or not cut.may_be_cut or rounds_left == 0:
         return [(cut, (yield from parameterize(cut.chart, boundary, settings.min_quality, balance)))]
+    max_excess = MAX_EXCESS if rounds_left == MAX_CUT_ROUNDS else np.inf
     try:
-        uv = yield from subprogress(parameterize(cut.chart, boundary, settings.min_quality, balance, MAX_EXCESS), 0.0, 0.5)
+        uv = yield from subprogress(parameterize(cut.chart, boundary, settings.min_quality, balance, max_excess), 0.0, 0.5)
     except GeometryError:
         uv = None
     if uv is not None and (yield from subprogress(_needle_fraction(cut.chart, uv), 0.5, 0.5)) <= MAX_NEEDLES:

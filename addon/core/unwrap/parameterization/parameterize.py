@@ -99,7 +99,7 @@ def parameterize(
         min_quality: lower limit of the height-to-base ratio of triangles, met where possible; 0 for none.
         balance: of compression and expansion.
         max_excess: limit of the excess of symmetric Dirichlet energy.
-        is_rough: stop as soon as it is clear where the chart is stretched.
+        is_rough: stop as soon as it is clear where the chart is stretched; the map may overlap itself.
 
     Raises:
         GeometryError: the chart has no boundary, or no valid uv was found.
@@ -108,7 +108,7 @@ def parameterize(
     surface_count = len(chart.vertices)
     chart, boundary_loop = _fill_to_disk(_normalize_area(chart))
     yield Progress(0.0, "Decimating")
-    parameterizer = _Parameterizer(chart, boundary, min_quality, balance, boundary_loop, surface_count)
+    parameterizer = _Parameterizer(chart, boundary, min_quality, balance, boundary_loop, surface_count, may_overlap=is_rough)
     coarse, batches = yield from subprogress(
         decimate(chart.vertices, chart.triangles, COARSEST_VERTICES, parameterizer.is_fixed), 0.0, 0.05
     )
@@ -173,10 +173,17 @@ class _Parameterizer:
     """
 
     def __init__(
-        self, chart: Chart, boundary: Boundary, min_quality: float, balance: Balance, boundary_loop: np.ndarray, surface_count: int
+        self,
+        chart: Chart,
+        boundary: Boundary,
+        min_quality: float,
+        balance: Balance,
+        boundary_loop: np.ndarray,
+        surface_count: int,
+        may_overlap: bool,
     ) -> None:
         self._chart, self._boundary, self._min_quality, self._balance = chart, boundary, min_quality, balance
-        self._expansion, self.excess = EXPANSIONS[balance], 0.0
+        self._may_overlap, self._expansion, self.excess = may_overlap, EXPANSIONS[balance], 0.0
         self._weights = DensityWeights(chart, surface_count)
         self.is_fixed = np.zeros(len(chart.vertices), bool)
         if boundary is not Boundary.FREE:
@@ -242,7 +249,7 @@ class _Parameterizer:
             shapes=shapes,
             weights=self._weights.for_triangles(triangles),
             vertex_weights=self._weights.for_vertices(),
-            boundary=boundary if (~self.is_fixed[boundary]).any() else boundary[:0],
+            boundary=boundary[:0] if self._may_overlap or self.is_fixed[boundary].all() else boundary,
             is_free=is_used & ~self.is_fixed,
             activation_distance=ACTIVATION_DISTANCE * float(np.linalg.norm(np.subtract(*vertices[boundary.T]), axis=1).mean()),
             expansion=self._expansion,
