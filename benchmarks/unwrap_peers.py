@@ -1,7 +1,7 @@
 """Other methods that Unwrap is compared with: Blender's Minimum Stretch, SLIM of libigl, and xatlas; and the figures of all maps."""
 
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import bpy
@@ -13,6 +13,7 @@ from farfield.addon.core.geometry.mesh import TriangleMesh, face_areas_and_norma
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.unwrap.cutting.boundaries import boundary_loops, fill_holes
 from farfield.addon.core.unwrap.cutting.chart import Chart
+from farfield.addon.core.unwrap.cutting.charts import cut_into_charts
 from farfield.addon.core.unwrap.distortion import DistortionMetrics, compute_stretches, measure_distortion
 from farfield.addon.core.unwrap.parameterization.parameterize import Balance, Boundary, parameterize
 from farfield.addon.core.unwrap.parameterization.tutte import circle_outline, tutte_embedding
@@ -70,12 +71,16 @@ def summarize(metrics: DistortionMetrics, seconds: float) -> dict[str, Any]:
 def measure_slim(mesh: TriangleMesh) -> dict[str, Any] | None:
     """Measure the converged map of SLIM (libigl) of a disk; None where the package `igl` is not installed.
 
-    It starts from the same Tutte embedding as Farfield, or from Farfield's own map where that embedding fails. Its map may overlap itself.
+    Handles, as between fingers that touch, are cut like for Farfield. It starts from the same Tutte embedding as Farfield, or from Farfield's
+    own map where that embedding fails. Its map may overlap itself.
     """
     try:
         import igl
     except ImportError:
         return None
+    surface = Chart(mesh.vertices, mesh.triangles, np.ones(len(mesh.triangles)))
+    [cut] = run_to_end(cut_into_charts(surface, np.zeros((0, 2), int), further_cuts=False))
+    mesh = TriangleMesh(cut.chart.vertices, cut.chart.triangles)
     areas, _ = face_areas_and_normals(mesh.corners)
     vertices = (mesh.vertices - mesh.vertices[0]) / np.sqrt(areas.sum())
     loop, *holes = boundary_loops(mesh.triangles, vertices)
@@ -84,8 +89,7 @@ def measure_slim(mesh: TriangleMesh) -> dict[str, Any] | None:
     uv = tutte_embedding(*fill_holes(vertices, mesh.triangles, holes), loop, circle_outline(lengths)) if holes else None
     uv = tutte_embedding(vertices, mesh.triangles, loop, circle_outline(lengths)) if uv is None else uv[: len(vertices)]
     if uv is None:
-        chart = Chart(vertices, mesh.triangles, np.ones(len(mesh.triangles)))
-        uv = run_to_end(parameterize(chart, Boundary.FREE, 0.0, Balance.SYMMETRIC))
+        uv = run_to_end(parameterize(replace(cut.chart, vertices=vertices), Boundary.FREE, 0.0, Balance.SYMMETRIC))
     data = igl.slim_precompute(
         np.asfortranarray(vertices),
         np.asfortranarray(mesh.triangles, np.int32),
