@@ -71,8 +71,8 @@ def summarize(metrics: DistortionMetrics, seconds: float) -> dict[str, Any]:
 def measure_slim(mesh: TriangleMesh) -> dict[str, Any] | None:
     """Measure the converged map of SLIM (libigl) of a disk; None where the package `igl` is not installed.
 
-    Handles, as between fingers that touch, are cut like for Farfield. It starts from the same Tutte embedding as Farfield, or from Farfield's
-    own map where that embedding fails. Its map may overlap itself.
+    Handles, as between fingers that touch, are cut like for Farfield. It starts from the same Tutte embedding, or from Farfield's own map
+    where that embedding fails. Its map may overlap itself.
     """
     try:
         import igl
@@ -99,10 +99,11 @@ def measure_slim(mesh: TriangleMesh) -> dict[str, Any] | None:
         np.zeros((0, 2), order="F"),
         0.0,
     )
-    metrics, previous = None, np.inf
-    while metrics is None or previous - metrics.symmetric_dirichlet > SLIM_TOLERANCE * previous:
-        previous = metrics.symmetric_dirichlet if metrics is not None else np.inf
+    energy, previous = np.finfo(float).max, np.inf
+    while energy < (1.0 - SLIM_TOLERANCE) * previous:
+        previous = energy
         uv = np.asarray(igl.slim_solve(data, SLIM_ITERATIONS))[:, :2]
         seconds = time.process_time() - started
         metrics = compute_metrics(mesh, uv[mesh.triangles])
+        energy = metrics.symmetric_dirichlet
     return summarize(metrics, seconds)
