@@ -27,7 +27,7 @@ from unwrap_peers import measure_blender, measure_slim, measure_xatlas, summariz
 
 from farfield.addon.bridge.unwrap import uv_maps
 from farfield.addon.core.geometry.mesh import TriangleMesh, face_areas_and_normals
-from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.jobs.progress import Steps
 from farfield.addon.core.unwrap import importance
 from farfield.addon.core.unwrap.settings import BALANCES, UnwrapSettings
 from farfield.addon.core.unwrap.unwrapping import UnwrapResult, unwrap
@@ -211,17 +211,25 @@ def open_model(data: Path, name: str) -> tuple[bpy.types.Object, uv_maps.UvTarge
 
 
 def run_timed(target: uv_maps.UvTarget, weights: np.ndarray, settings: UnwrapSettings) -> tuple[UnwrapResult, float]:
-    """Unwrap a target with the importance `weights` (T,); return the result and the seconds without measuring it."""
-    started = time.perf_counter()
-    unwrapped = run_to_end(unwrap(target.mesh, target.polygon_ids, target.seams, weights, settings, target.object_name))
-    return unwrapped, time.perf_counter() - started - unwrapped.seconds["measure"]
+    """Unwrap a target with the importance `weights` (T,); return the result and the seconds of CPU time without measuring it."""
+    return time_steps(unwrap(target.mesh, target.polygon_ids, target.seams, weights, settings, target.object_name))
 
 
 def run_mesh_timed(mesh: TriangleMesh, weights: np.ndarray, settings: UnwrapSettings) -> tuple[UnwrapResult, float]:
     """Unwrap a mesh like `run_timed`, every triangle as a polygon."""
-    started = time.perf_counter()
-    unwrapped = run_to_end(unwrap(mesh, np.arange(len(mesh.triangles)), NO_SEAMS, weights, settings))
-    return unwrapped, time.perf_counter() - started - unwrapped.seconds["measure"]
+    return time_steps(unwrap(mesh, np.arange(len(mesh.triangles)), NO_SEAMS, weights, settings))
+
+
+def time_steps(steps: Steps[UnwrapResult]) -> tuple[UnwrapResult, float]:
+    """Run an unwrap; return its result and the seconds of CPU time until its metrics are computed."""
+    started, seconds = time.process_time(), 0.0
+    while True:
+        try:
+            step = next(steps)
+        except StopIteration as finished:
+            return finished.value, seconds
+        if not seconds and step.label == "Measuring":
+            seconds = time.process_time() - started
 
 
 def round_seconds(seconds: dict[str, float]) -> dict[str, float]:

@@ -55,7 +55,7 @@ COARSEST = Schedule(3e-4, 30)
 INTERMEDIATE = Schedule(3e-3, 4, is_intermediate=True)
 FINAL = Schedule(1e-3, 30)
 SINGLE_LEVEL = Schedule(3e-4, 100)
-ROUGH = Schedule(3e-2, 15)  # For the coarsest level, to see where a chart is stretched.
+ROUGH = Schedule(3e-2, 15)  # Comes first on the coarsest level, to see how distorted a chart is, and where.
 AFTER_CHANGE = Schedule(1e-3, 12)  # After a change of penalties or weights.
 
 FAILURE = "Part of the mesh could not be unwrapped. Remove zero-area faces, use Merge by Distance, or set Islands to Atlas."
@@ -112,14 +112,12 @@ def parameterize(
     coarse, batches = yield from subprogress(
         decimate(chart.vertices, chart.triangles, COARSEST_VERTICES, parameterizer.is_fixed), 0.0, 0.05
     )
-    uv = parameterizer.initial_uv(coarse)
-    if max_excess < np.inf:
-        uv = yield from subprogress(parameterizer.optimize_level(uv, coarse, ROUGH, False), 0.05, 0.05)
-        if parameterizer.excess > max_excess:
-            return None
-    schedule = ROUGH if is_rough else COARSEST if batches else SINGLE_LEVEL
-    steps = parameterizer.optimize_level(uv, coarse, schedule, not batches)
-    uv = yield from subprogress(steps, 0.05, 0.1 if batches else 1.0)
+    uv = yield from subprogress(parameterizer.optimize_level(parameterizer.initial_uv(coarse), coarse, ROUGH, False), 0.05, 0.05)
+    if parameterizer.excess > max_excess:
+        return None
+    if not is_rough:
+        steps = parameterizer.optimize_level(uv, coarse, COARSEST if batches else SINGLE_LEVEL, not batches)
+        uv = yield from subprogress(steps, 0.05, 0.1 if batches else 1.0)
     for level, start, stop in _group_into_levels(batches, len(np.unique(coarse))):
         for batch in level:
             uv = yield from subprogress(parameterizer.refine(uv, batch), start, start)
