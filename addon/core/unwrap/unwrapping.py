@@ -12,6 +12,7 @@ from ..jobs.progress import Progress, Steps, subprogress
 from .cutting.atlas_seams import find_atlas_seams
 from .cutting.chart import Chart
 from .cutting.charts import CutChart, cut_further, cut_into_charts
+from .cutting.cuts import POOR_EXCESS
 from .distortion import DistortionMetrics, Stretches, compute_stretches, measure_distortion
 from .packing import pack_charts
 from .parameterization.developable import unfold_developable
@@ -19,7 +20,7 @@ from .parameterization.parameterize import Balance, Boundary, parameterize
 from .settings import UnwrapSettings
 
 CUTTING_END, PARAMETERIZATION_END, PACKING_END = 0.1, 0.9, 0.95  # Fractions of the progress bar.
-MAX_CUT_ROUNDS = 2  # In each a chart is cut towards all its most distorted parts; in the second one only because of needles.
+MAX_CUT_ROUNDS = 2  # In each a chart is cut towards all its most distorted parts; in the second one only where it is poor or has needles.
 MAX_EXCESS = 0.3  # Of symmetric Dirichlet energy over 4: charts with more in one piece are cut further.
 MAX_NEEDLES = 0.003  # As a fraction of a chart's map, above which it is cut further.
 MIN_CHART_AREA = 1e-7  # As a fraction of the total area.
@@ -112,21 +113,22 @@ def _parameterize_chart(cut: CutChart, settings: UnwrapSettings, rounds_left: in
         return [(cut, uv)]
     if boundary is not Boundary.FREE or not cut.may_be_cut or rounds_left == 0:
         return [(cut, (yield from parameterize(cut.chart, boundary, settings.min_quality, balance)))]
-    max_excess = MAX_EXCESS if rounds_left == MAX_CUT_ROUNDS else np.inf
+    is_first_round = rounds_left == MAX_CUT_ROUNDS
+    max_excess = MAX_EXCESS if is_first_round else POOR_EXCESS
     try:
         uv = yield from subprogress(parameterize(cut.chart, boundary, settings.min_quality, balance, max_excess), 0.0, 0.5)
     except GeometryError:
         uv = None
     if uv is not None and (yield from subprogress(_needle_fraction(cut.chart, uv), 0.5, 0.5)) <= MAX_NEEDLES:
         return [(cut, uv)]
-    pieces = yield from subprogress(cut_further(cut), 0.5, 0.5)
+    pieces = yield from subprogress(cut_further(cut, uv is None and not is_first_round), 0.5, 0.5)
     is_uncut = len(pieces) == 1 and len(pieces[0].chart.vertices) == len(cut.chart.vertices)
     if is_uncut and uv is not None:
         return [(cut, uv)]
     maps, done = [], 0.5
     for piece in pieces:
         stop = done + 0.5 * len(piece.triangle_indices) / len(cut.triangle_indices)
-        steps = _parameterize_chart(piece, settings, 0 if is_uncut else rounds_left - 1)
+        steps = _parameterize_chart(piece, settings, rounds_left - 1)
         maps += yield from subprogress(steps, done, stop)
         done = stop
     return maps

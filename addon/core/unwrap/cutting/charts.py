@@ -56,19 +56,24 @@ def cut_into_charts(surface: Chart, seams: np.ndarray, further_cuts: bool = True
     return sorted(charts, key=lambda cut: -len(cut.triangle_indices))
 
 
-def cut_further(cut: CutChart) -> Steps[list[CutChart]]:
-    """Return the charts of a strongly distorted chart that is cut towards its most distorted parts; only itself where that helps little."""
-    disks = yield from _cut_to_disks(cut.chart, MAX_CUT_ROUNDS, True, True)
+def cut_further(cut: CutChart, is_poor: bool) -> Steps[list[CutChart]]:
+    """Return the charts of a strongly distorted chart that is cut towards its most distorted parts; only itself where that helps little.
+
+    is_poor: divide it into an atlas instead of returning only itself.
+    """
+    disks = yield from _cut_to_disks(cut.chart, MAX_CUT_ROUNDS, True, True, is_poor)
     return [CutChart(disk, cut.triangle_indices[indices], True) for disk, indices in disks]
 
 
-def _cut_to_disks(chart: Chart, rounds_left: int, further_cuts: bool, is_distorted: bool = False) -> Steps[list[tuple[Chart, np.ndarray]]]:
+def _cut_to_disks(
+    chart: Chart, rounds_left: int, further_cuts: bool, is_distorted: bool = False, is_poor: bool = False
+) -> Steps[list[tuple[Chart, np.ndarray]]]:
     """Cut a component into disks, possibly with holes; return each with the indices of its triangles."""
     edges = find_edges(chart.triangles, len(chart.vertices))
     yield Progress(0.0, "Cutting")
     halfedges = edges.interior_halfedges
     if rounds_left > 0:
-        is_cut_edge = yield from cut_to_disk_edges(chart, edges, further_cuts, is_distorted)
+        is_cut_edge = yield from cut_to_disk_edges(chart, edges, further_cuts, is_distorted, is_poor)
         is_cut = is_cut_edge[edges.interior]
     else:
         is_cut = _spanning_tree_cut(chart, halfedges)

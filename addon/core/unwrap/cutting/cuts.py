@@ -37,7 +37,7 @@ MAX_ENDPOINTS, MAX_ENDPOINTS_WHILE_POOR = 10, 12  # Maximum endpoints of cuts fr
 MIN_RELATIVE_GAIN, MIN_GAIN = 0.1, 0.02  # Further cuts must reduce the excess by so much each, relative and absolute.
 
 
-def cut_to_disk_edges(chart: Chart, edges: Edges, further_cuts: bool, is_distorted: bool) -> Steps[np.ndarray]:
+def cut_to_disk_edges(chart: Chart, edges: Edges, further_cuts: bool, is_distorted: bool, is_poor: bool) -> Steps[np.ndarray]:
     """Return which `edges` (E,) bool to cut next to turn a chart into a disk, possibly with small holes; none if it is one.
 
     Args:
@@ -45,6 +45,7 @@ def cut_to_disk_edges(chart: Chart, edges: Edges, further_cuts: bool, is_distort
         edges: of the chart.
         further_cuts: also cut nearly closed charts, charts of uneven density and distorted charts.
         is_distorted: whether the chart is strongly distorted in one piece.
+        is_poor: whether it is distorted by more than `POOR_EXCESS`; it is divided into an atlas if its proxy is not.
     """
     loops = boundary_loops(chart.triangles, chart.vertices)
     handles = 2 - len(loops) - (len(chart.vertices) - len(edges.ends) + len(chart.triangles))
@@ -61,7 +62,8 @@ def cut_to_disk_edges(chart: Chart, edges: Edges, further_cuts: bool, is_distort
         return paths.connect_loops(loops[0], [loop for loop, is_large in zip(loops[1:], is_large_hole, strict=True) if is_large])
     start = loops[0] if loops else paths.farthest_pair()[:1]
     endpoints = yield from _find_endpoints(chart, start, 0 if loops else 1)
-    return _atlas_cut(chart, edges) if endpoints is None else paths.paths_to(start, endpoints)
+    needs_atlas = endpoints is None or (is_poor and not endpoints)
+    return _atlas_cut(chart, edges) if needs_atlas else paths.paths_to(start, endpoints)
 
 
 def _atlas_cut(chart: Chart, edges: Edges) -> np.ndarray:
