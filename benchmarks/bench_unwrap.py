@@ -1,8 +1,8 @@
-"""Compares UV maps of Farfield, of Blender's three methods and of xatlas in one process: `python3 benchmarks/bench_unwrap.py [flags]`.
+"""Compares UV maps of Farfield, of Blender's Minimum Stretch, SLIM and xatlas in one process: `python3 benchmarks/bench_unwrap.py [flags]`.
 
-Prints JSON. Parts (`--only`): `stretch` (metrics and time of all meshes; other methods where a mesh is a disk), `quality_limit` (cost of a
-minimum triangle quality), `importance` (density ratio, and stretch of the important part), `cracks` (maximum stretch of the bunny with and
-without the limit), `growth` (time by number of triangles), `million` (time, memory, and the longest time between two progress reports).
+Prints JSON. Parts (`--only`): `disks` (disks in one piece, compared with SLIM and Blender), `defaults` (all meshes with default settings),
+`quality_limit` (cost of a minimum triangle quality), `importance` (density ratio, and stretch of the important part), `growth` (time by
+number of triangles), `million` (time, memory, and the longest time between two progress reports).
 """
 
 import json
@@ -22,23 +22,18 @@ environment.import_farfield()
 import benchmark_cli
 import bpy
 import numpy as np
+import unwrap_models
+from unwrap_peers import measure_blender, measure_slim, measure_xatlas, summarize
 
-from farfield.addon.bridge.geometry.mesh_arrays import read_uvs
 from farfield.addon.bridge.unwrap import uv_maps
 from farfield.addon.core.geometry.mesh import TriangleMesh, face_areas_and_normals
-from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.jobs.progress import Steps
 from farfield.addon.core.unwrap import importance
-from farfield.addon.core.unwrap.distortion import DistortionMetrics, compute_stretches, measure_distortion
-from farfield.addon.core.unwrap.settings import UnwrapSettings
+from farfield.addon.core.unwrap.settings import BALANCES, UnwrapSettings
 from farfield.addon.core.unwrap.unwrapping import UnwrapResult, unwrap
 from lib import command_line, scene_files
 
-MAX_EXCESS_OVER_BLENDER = {
-    "optcuts_face": 0.70,
-    "bff_cowhead": 0.70,
-    "bff_face": 0.85,
-    "sceaux_15k": 0.85,
-}  # L2 - 1, of meshes that are disks
+DISKS = ("optcuts_face", "bff_cowhead", "bff_face", "sceaux_15k", *unwrap_models.MODELS)
 FILES = {
     **{name: f"meshes/{name}.obj" for name in ("optcuts_face", "bff_cowhead", "bff_face", "max_planck", "stanford_bunny")},
     "sceaux_15k": "sceaux/mesh_15k.ply",
@@ -48,10 +43,11 @@ FILES = {
     "leafy_tree": "trees/leafy_tree.glb",
     "tree": "trees/tree.glb",
     "pine_tree": "trees/pine_tree.glb",
+    **{f"hard_{Path(name).stem}": f"hard_surface/{name}" for name in ("fandisk.obj", "capsule.obj", "fuze.obj", "idler_riser.STL")},
+    "hard_featuretype": "hard_surface/featuretype.STL",
 }
 HEAD_DIRECTIONS = {"max_planck": (0.0, 0.0, 1.0), "bff_face": (0.0, -0.36, 0.93), "optcuts_face": (0.0, -1.0, 0.0)}
-BLENDER_METHODS = ("ANGLE_BASED", "CONFORMAL", "MINIMUM_STRETCH")
-STRETCH_ONLY = {"min_quality": 0.0, "further_cuts": False}
+ONE_PIECE = {"further_cuts": False}
 QUALITY_LIMITS = (0.05, 0.1, 0.15)
 DOME_SIZES = 10_000, 30_000, 100_000, 300_000
 
@@ -59,7 +55,9 @@ DOME_SIZES = 10_000, 30_000, 100_000, 300_000
 def build_parser() -> command_line.Parser:
     """Return the parser of all arguments of the benchmark."""
     parser = benchmark_cli.build_parser("bench_unwrap.py", __doc__, PARTS)
-    parser.add_argument("--models", nargs="+", choices=list(FILES), default=list(FILES), help="meshes")
+    parser.add_argument(
+        "--models", nargs="+", choices=[*FILES, *unwrap_models.MODELS], default=[*FILES, *unwrap_models.MODELS], help="meshes"
+    )
     parser.add_argument("--data", type=Path, default=environment.ROOT.parent / "shared" / "data", help="the folder of the meshes")
     parser.add_argument("--repeats", type=int, default=1, help="runs of each, of which the fastest counts")
     return parser
@@ -70,29 +68,42 @@ def main(arguments: list[str], _line: command_line.ProgressLine) -> str:
     return benchmark_cli.run_parts(build_parser().parse_args(arguments), PARTS)
 
 
-def measure_stretch(given: Namespace) -> dict[str, Any]:
-    """Measure stretch and time of every mesh, and of other methods for those that are disks."""
+def measure_disks(given: Namespace) -> dict[str, Any]:
+    """Measure disks in one piece: all balances of Farfield, SLIM, and Blender."""
     results = {}
-    for name in given.models:
+    for name in [name for name in given.models if name in DISKS]:
         item, target = open_model(given.data, name)
         uniform = np.zeros(len(target.mesh.triangles))
-        settings = UnwrapSettings(**STRETCH_ONLY) if name in MAX_EXCESS_OVER_BLENDER else UnwrapSettings()
-        runs = [run_timed(target, uniform, settings) for _ in range(given.repeats)]
-        unwrapped, seconds = min(runs, key=lambda run: run[1])
+        results[name] = {"triangles": len(uniform)}
+        for balance in BALANCES:
+            runs = [run_timed(target, uniform, UnwrapSettings(balance=balance, **ONE_PIECE)) for _ in range(given.repeats)]
+            unwrapped, seconds = min(runs, key=lambda run: run[1])
+            results[name][balance] = summarize(unwrapped.metrics, seconds)
+        results[name]["minimum_stretch"] = measure_blender(item, target, given.repeats)
+        slim = results[name]["slim"] = measure_slim(target.mesh)
+        if slim is not None:
+            figures = results[name]["balanced"]
+            results[name]["symmetric_dirichlet_over_slim"] = round(figures["symmetric_dirichlet"] / slim["symmetric_dirichlet"], 4)
+            results[name]["l2_excess_over_slim"] = round((figures["l2"] - 1.0) / (slim["l2"] - 1.0), 3)
+            results[name]["needles_minus_slim"] = round(figures["needles"] - slim["needles"], 4)
+        print(name, json.dumps(results[name]), file=sys.stderr)
+    return results
+
+
+def measure_defaults(given: Namespace) -> dict[str, Any]:
+    """Measure every mesh with default settings, and xatlas."""
+    results = {}
+    for name in given.models:
+        _, target = open_model(given.data, name)
+        uniform = np.zeros(len(target.mesh.triangles))
+        unwrapped, seconds = min((run_timed(target, uniform, UnwrapSettings()) for _ in range(given.repeats)), key=lambda run: run[1])
         results[name] = {
             "triangles": len(uniform),
             "islands": unwrapped.chart_count,
             "farfield": summarize(unwrapped.metrics, seconds),
             "stages": round_seconds(unwrapped.seconds),
+            "xatlas": measure_xatlas(target.mesh, given.repeats),
         }
-        if name in MAX_EXCESS_OVER_BLENDER:
-            for method in BLENDER_METHODS:
-                results[name][method.lower()] = measure_blender(item, target, method, given.repeats)
-            results[name]["xatlas"] = measure_xatlas(target.mesh, given.repeats)
-            blender = results[name]["minimum_stretch"]
-            results[name]["excess_over_blender"] = round((unwrapped.metrics.l2 - 1.0) / (blender["l2"] - 1.0), 3)
-            results[name]["max_excess_over_blender"] = MAX_EXCESS_OVER_BLENDER[name]
-            results[name]["time_over_blender"] = round(seconds / blender["seconds"], 2)
         print(name, json.dumps(results[name]), file=sys.stderr)
     return results
 
@@ -100,10 +111,10 @@ def measure_stretch(given: Namespace) -> dict[str, Any]:
 def measure_quality_limit(given: Namespace) -> dict[str, Any]:
     """Measure L2 stretch with a minimum triangle quality over that without it."""
     results = {}
-    for name in [name for name in given.models if name in MAX_EXCESS_OVER_BLENDER]:
+    for name in [name for name in given.models if name in DISKS]:
         _, target = open_model(given.data, name)
         uniform = np.zeros(len(target.mesh.triangles))
-        unlimited, _ = run_timed(target, uniform, UnwrapSettings(**STRETCH_ONLY))
+        unlimited, _ = run_timed(target, uniform, UnwrapSettings(**ONE_PIECE))
         for limit in QUALITY_LIMITS:
             limited, seconds = run_timed(target, uniform, UnwrapSettings(min_quality=limit, further_cuts=False))
             ratio = round(limited.metrics.l2 / unlimited.metrics.l2, 4)
@@ -134,28 +145,12 @@ def compute_front_l2(unwrapped: UnwrapResult, front: np.ndarray, areas: np.ndarr
     return round(float(np.sqrt((squares * areas)[front > 0.5].sum() / areas[front > 0.5].sum())), 4)
 
 
-def measure_cracks(given: Namespace) -> dict[str, Any]:
-    """Measure the maximum stretch of the bunny, a disk with holes: L2 only, with a quality limit, and also with further cuts."""
-    item, target = open_model(given.data, "stanford_bunny")
-    uniform = np.zeros(len(target.mesh.triangles))
-    variants = {"L2 only": UnwrapSettings(**STRETCH_ONLY)}
-    variants |= {f"limit {limit}": UnwrapSettings(min_quality=limit, further_cuts=False) for limit in QUALITY_LIMITS}
-    variants["limit 0.05 and further cuts"] = UnwrapSettings(min_quality=0.05)
-    results = {}
-    for variant, settings in variants.items():
-        unwrapped, seconds = run_timed(target, uniform, settings)
-        results[variant] = summarize(unwrapped.metrics, seconds)
-    results["times_smaller"] = {variant: round(results["L2 only"]["linf"] / figures["linf"], 2) for variant, figures in results.items()}
-    results["Blender"] = measure_blender(item, target, "MINIMUM_STRETCH", 1)
-    return results
-
-
 def measure_growth(_given: Namespace) -> dict[str, Any]:
     """Measure the time by number of triangles of one surface, a bumpy dome."""
     results = {}
     for count in DOME_SIZES:
         mesh = build_dome(count)
-        unwrapped, seconds = run_mesh_timed(mesh, np.zeros(len(mesh.triangles)), UnwrapSettings(**STRETCH_ONLY))
+        unwrapped, seconds = run_mesh_timed(mesh, np.zeros(len(mesh.triangles)), UnwrapSettings(**ONE_PIECE))
         results[len(mesh.triangles)] = summarize(unwrapped.metrics, seconds)
         print(len(mesh.triangles), round(seconds, 2), file=sys.stderr)
     seconds = [figures["seconds"] for figures in results.values()]
@@ -191,82 +186,50 @@ def measure_million(_given: Namespace) -> dict[str, Any]:
 
 NO_SEAMS = np.zeros((0, 2), int)
 PARTS = {
-    "stretch": measure_stretch,
+    "disks": measure_disks,
+    "defaults": measure_defaults,
     "quality_limit": measure_quality_limit,
     "importance": measure_importance,
-    "cracks": measure_cracks,
     "growth": measure_growth,
     "million": measure_million,
 }
 
 
 def open_model(data: Path, name: str) -> tuple[bpy.types.Object, uv_maps.UvTarget]:
-    """Open a file and return its largest mesh."""
-    scene_files.open_scene((data / FILES[name]).absolute())
+    """Open a file, or build a model, and return its largest mesh."""
+    if name in unwrap_models.MODELS:
+        model = unwrap_models.build_model(name)
+        mesh = bpy.data.meshes.new(name)
+        mesh.from_pydata(model.vertices, [], model.triangles.tolist())
+        bpy.context.scene.collection.objects.link(bpy.data.objects.new(name, mesh))
+        bpy.context.view_layer.update()
+    else:
+        scene_files.open_scene((data / FILES[name]).absolute())
     meshes = (item for item in bpy.context.scene.objects if item.type == "MESH")
     largest = max(meshes, key=lambda item: len(item.data.polygons))
     return largest, uv_maps.read_uv_target(largest, None)
 
 
 def run_timed(target: uv_maps.UvTarget, weights: np.ndarray, settings: UnwrapSettings) -> tuple[UnwrapResult, float]:
-    """Unwrap a target with the importance `weights` (T,); return the result and the seconds without measuring it."""
-    started = time.perf_counter()
-    unwrapped = run_to_end(unwrap(target.mesh, target.polygon_ids, target.seams, weights, settings, target.object_name))
-    return unwrapped, time.perf_counter() - started - unwrapped.seconds["measure"]
+    """Unwrap a target with the importance `weights` (T,); return the result and the seconds of CPU time without measuring it."""
+    return time_steps(unwrap(target.mesh, target.polygon_ids, target.seams, weights, settings, target.object_name))
 
 
 def run_mesh_timed(mesh: TriangleMesh, weights: np.ndarray, settings: UnwrapSettings) -> tuple[UnwrapResult, float]:
     """Unwrap a mesh like `run_timed`, every triangle as a polygon."""
-    started = time.perf_counter()
-    unwrapped = run_to_end(unwrap(mesh, np.arange(len(mesh.triangles)), NO_SEAMS, weights, settings))
-    return unwrapped, time.perf_counter() - started - unwrapped.seconds["measure"]
+    return time_steps(unwrap(mesh, np.arange(len(mesh.triangles)), NO_SEAMS, weights, settings))
 
 
-def measure_blender(item: bpy.types.Object, target: uv_maps.UvTarget, method: str, repeats: int) -> dict[str, Any]:
-    """Measure the UV map of one of Blender's methods."""
-    bpy.context.view_layer.objects.active = item
-    item.select_set(True)
-    layer = item.data.uv_layers.get("Blender") or item.data.uv_layers.new(name="Blender")
-    item.data.uv_layers.active = layer
-    bpy.ops.object.mode_set(mode="EDIT")
-    bpy.ops.mesh.select_all(action="SELECT")
-    seconds = np.inf
-    for _ in range(repeats):
-        started = time.perf_counter()
-        bpy.ops.uv.unwrap(method=method, margin=0.0, fill_holes=False, correct_aspect=False)
-        seconds = min(seconds, time.perf_counter() - started)
-    bpy.ops.object.mode_set(mode="OBJECT")
-    uvs = read_uvs(item.data.uv_layers["Blender"])
-    return summarize(compute_metrics(target.mesh, uvs[target.loops].astype(np.float64)), seconds)
-
-
-def measure_xatlas(mesh: TriangleMesh, repeats: int) -> dict[str, Any]:
-    """Measure the UV map of xatlas, which chooses the number of UV islands."""
-    import xatlas
-
-    seconds = np.inf
-    for _ in range(repeats):
-        started = time.perf_counter()
-        atlas = xatlas.Atlas()
-        atlas.add_mesh(mesh.vertices.astype(np.float32), mesh.triangles.astype(np.uint32))
-        atlas.generate()
-        seconds = min(seconds, time.perf_counter() - started)
-    _, triangles, uvs = atlas.get_mesh(0)
-    corner_uvs = uvs[triangles].astype(np.float64) * [atlas.width, atlas.height] / max(atlas.width, atlas.height)
-    return {**summarize(compute_metrics(mesh, corner_uvs), seconds), "islands": atlas.chart_count}
-
-
-def compute_metrics(mesh: TriangleMesh, corner_uvs: np.ndarray) -> DistortionMetrics:
-    """Return the metrics of a UV map `corner_uvs` (T, 3, 2) with uniform importance."""
-    stretches = run_to_end(compute_stretches(mesh, corner_uvs))
-    return run_to_end(measure_distortion(mesh, corner_uvs, stretches, np.zeros(len(corner_uvs))))
-
-
-def summarize(metrics: DistortionMetrics, seconds: float) -> dict[str, Any]:
-    """Return rounded metrics; None for the infinite stretch of collapsed triangles."""
-    names = ("l2", "linf", "p95", "p99", "symmetric_dirichlet", "flips", "overlaps", "min_quality", "fill", "density_ratio")
-    values = {name: getattr(metrics, name) for name in names}
-    return {**{name: round(value, 4) if np.isfinite(value) else None for name, value in values.items()}, "seconds": round(seconds, 2)}
+def time_steps(steps: Steps[UnwrapResult]) -> tuple[UnwrapResult, float]:
+    """Run an unwrap; return its result and the seconds of CPU time until its metrics are computed."""
+    started, seconds = time.process_time(), 0.0
+    while True:
+        try:
+            step = next(steps)
+        except StopIteration as finished:
+            return finished.value, seconds
+        if not seconds and step.label == "Measuring":
+            seconds = time.process_time() - started
 
 
 def round_seconds(seconds: dict[str, float]) -> dict[str, float]:

@@ -8,7 +8,7 @@ from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.unwrap.cutting.boundaries import boundary_edges
 from farfield.addon.core.unwrap.cutting.chart import Chart
 from farfield.addon.core.unwrap.energies.boundary_barrier import self_intersects
-from farfield.addon.core.unwrap.parameterization.parameterize import Boundary, parameterize
+from farfield.addon.core.unwrap.parameterization.parameterize import Balance, Boundary, parameterize
 from shapes import sphere, split_quads
 
 
@@ -16,8 +16,10 @@ def chart_of(mesh: TriangleMesh) -> Chart:
     return Chart(mesh.vertices, mesh.triangles, np.ones(len(mesh.triangles)))
 
 
-def parameterize_and_check(chart: Chart, boundary: Boundary = Boundary.FREE, min_quality: float = 0.0) -> np.ndarray:
-    uv = run_to_end(parameterize(chart, boundary, min_quality))
+def parameterize_and_check(
+    chart: Chart, boundary: Boundary = Boundary.FREE, min_quality: float = 0.0, balance: Balance = Balance.BALANCED
+) -> np.ndarray:
+    uv = run_to_end(parameterize(chart, boundary, min_quality, balance))
     assert np.isfinite(uv).all()
     assert signed_areas(uv[chart.triangles]).min() > 0.0
     assert not self_intersects(uv, boundary_edges(chart.triangles))

@@ -19,7 +19,12 @@ from .sidebar import SettingsPanel, ToolPanel, draw_button, draw_progress_bar
 METRICS = (
     ("Stretch L2", "l2", "{:.3f}"),
     ("95th Percentile", "p95", "{:.2f}"),
-    ("Max Stretch", "linf", "{:.2f}"),
+    ("Max Compression", "linf", "{:.2f}"),
+    ("Max Expansion", "max_expansion", "{:.2f}"),
+    ("Symmetric Dirichlet", "symmetric_dirichlet", "{:.2f}"),
+    ("Anisotropy, 99th Percentile", "anisotropy_p99", "{:.2f}"),
+    ("Anisotropic Area", "anisotropic_fraction", "{:.1%}"),
+    ("Needles", "needles", "{:.1%}"),
     ("Flips", "flips", "{:.0f}"),
     ("Overlaps", "overlaps", "{:.0f}"),
     ("Min Quality", "min_quality", "{:.3f}"),

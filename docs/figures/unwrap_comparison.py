@@ -77,7 +77,7 @@ def measure_copy(item: bpy.types.Object, pixels: int) -> UnwrappedCopy:
     metrics = run_to_end(measure_distortion(target.mesh, corner_uvs, stretches, np.zeros(len(corner_uvs))))
     item.data.materials.clear()
     item.data.materials.append(create_checker(CHECKER_SCALE / np.sqrt(metrics.fill)))
-    return UnwrappedCopy(item, metrics, draw_stretch_image(corner_uvs, stretches.max_stretch, pixels))
+    return UnwrappedCopy(item, metrics, draw_stretch_image(corner_uvs, stretches.dominant, pixels))
 
 
 def create_checker(scale: float) -> bpy.types.Material:

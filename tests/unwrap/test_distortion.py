@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from farfield.addon.core.geometry.mesh import TriangleMesh
+from farfield.addon.core.geometry.mesh import TriangleMesh, face_areas_and_normals
 from farfield.addon.core.geometry.transforms import signed_areas
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.unwrap.distortion import DistortionMetrics, compute_stretches, measure_distortion
+from farfield.addon.core.unwrap.distortion import DistortionMetrics, Stretches, compute_stretches, measure_distortion
 from farfield.addon.core.unwrap.overlaps import count_overlaps
 from farfield.addon.core.unwrap.packing import pack_charts
 from shapes import sheet
@@ -39,7 +39,8 @@ def test_an_isometry_of_any_size_has_no_stretch(size, angle):
     metrics = measure(mesh, rotated)
     assert (metrics.l2, metrics.linf, metrics.p95) == pytest.approx((1.0, 1.0, 1.0))
     assert metrics.symmetric_dirichlet == pytest.approx(4.0)
-    assert (metrics.flips, metrics.overlaps, metrics.density_ratio) == (0, 0, 0.0)
+    assert (metrics.max_expansion, metrics.anisotropy_p99) == pytest.approx((1.0, 1.0))
+    assert (metrics.flips, metrics.overlaps, metrics.density_ratio, metrics.needles, metrics.anisotropic_fraction) == (0, 0, 0.0, 0.0, 0.0)
     assert metrics.fill == pytest.approx(size**2 * np.ptp(mesh.vertices[:, 0]) * np.ptp(mesh.vertices[:, 1]), rel=1e-6)
 
 
@@ -48,7 +49,36 @@ def test_a_map_of_twice_the_width():
     metrics = measure(mesh, corner_uvs * [2.0, 1.0])
     assert metrics.linf == pytest.approx(np.sqrt(2.0))  # Lengths along v are this much larger, relative to a map of the same area.
     assert metrics.l2 == pytest.approx(np.sqrt(0.5 * (2.0 + 0.5)))
+    assert metrics.max_expansion == pytest.approx(np.sqrt(2.0))
+    assert metrics.anisotropy_p99 == pytest.approx(2.0)
     assert metrics.symmetric_dirichlet == pytest.approx(2.0 * 2.5)
+
+
+@given(size=st.floats(0.01, 50.0))
+def test_symmetric_dirichlet_is_that_of_the_best_scale(size):
+    mesh, corner_uvs = flat_sheet()
+    uneven = corner_uvs * np.where(np.arange(len(corner_uvs)) % 2, 3.0, 1.0)[:, None, None]
+    areas = face_areas_and_normals(mesh.corners)[0] / face_areas_and_normals(mesh.corners)[0].sum()
+    squares = np.where(np.arange(len(areas)) % 2, 9.0, 1.0)
+    best = min(areas @ (2.0 * scale * squares + 2.0 / (scale * squares)) for scale in np.geomspace(0.05, 2.0, 4000))
+    assert measure(mesh, size * uneven).symmetric_dirichlet == pytest.approx(best, rel=1e-5)
+
+
+@pytest.mark.parametrize(("width", "height", "is_anisotropic", "is_needle"), [(30, 0.5, 1, 1), (3, 0.5, 1, 0), (30, 15, 0, 0)])
+def test_needles_are_anisotropic_triangles_that_are_much_larger_in_the_map(width, height, is_anisotropic, is_needle):
+    mesh, corner_uvs = flat_sheet(30)
+    corner_uvs = corner_uvs.copy()
+    corner_uvs[7] *= [width, height]
+    metrics = measure(mesh, corner_uvs)
+    areas = np.abs(signed_areas(corner_uvs))
+    fraction = areas[7] / areas.sum()
+    assert (metrics.anisotropic_fraction, metrics.needles) == pytest.approx((is_anisotropic * fraction, is_needle * fraction), rel=1e-6)
+    scale = np.sqrt(face_areas_and_normals(mesh.corners)[0].sum() / areas.sum())
+    assert metrics.max_expansion == pytest.approx(scale * max(width, height), rel=0.03)
+
+
+def test_the_dominant_stretch_is_the_one_farther_from_1():
+    assert Stretches(np.array([2.0, 1.2, np.inf]), np.array([0.9, 0.5, 0.3]), np.zeros(3, bool)).dominant.tolist() == [2.0, 0.5, np.inf]
 
 
 def test_flips_are_counted_and_densities_compared():

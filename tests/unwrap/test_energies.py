@@ -12,10 +12,11 @@ from farfield.addon.core.unwrap.energies.boundary_barrier import BoundaryBarrier
 from farfield.addon.core.unwrap.energies.newton import minimize
 from farfield.addon.core.unwrap.energies.rest_shapes import compute_rest_shapes
 from farfield.addon.core.unwrap.energies.shape_barrier import ShapeBarrier, min_height_to_base
-from farfield.addon.core.unwrap.energies.stretch_energy import StretchEnergy, compute_jacobians
+from farfield.addon.core.unwrap.energies.stretch_energy import Expansion, StretchEnergy, compute_jacobians
 
 STEP = 1e-6
 TRIANGLE = np.array([[0, 1, 2]])
+BALANCED = Expansion(0.3, 0.1)
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -33,26 +34,30 @@ def random_triangle(seed: int) -> tuple[np.ndarray, np.ndarray]:
     return random.normal(size=(3, 3)), uv
 
 
-def stretch_energy(corners: np.ndarray, weight: float = 1.3) -> StretchEnergy:
-    return StretchEnergy(TRIANGLE, compute_rest_shapes(corners[None]), np.array([weight]))
+def stretch_energy(corners: np.ndarray, weight: float = 1.3, expansion: Expansion = BALANCED) -> StretchEnergy:
+    return StretchEnergy(TRIANGLE, compute_rest_shapes(corners[None]), np.array([weight]), expansion)
 
 
 def shape_barrier(weight: float, min_ratio: float, is_soft: bool) -> ShapeBarrier:
     return ShapeBarrier(TRIANGLE, np.array([0]), np.array([weight]), np.array([min_ratio]), is_soft)
 
 
-@given(seeds)
-def test_stretch_gradient_matches_finite_differences(seed):
+@pytest.mark.parametrize("expansion", [Expansion(0.0, 0.0), BALANCED, Expansion(1.0, 0.0)])
+@given(seed=seeds)
+@settings(max_examples=40)
+def test_stretch_gradient_matches_finite_differences(seed, expansion):
     corners, uv = random_triangle(seed)
-    energy = stretch_energy(corners)
+    energy = stretch_energy(corners, expansion=expansion)
     expected = finite_difference_gradient(energy.value, uv)
     assert energy.gradients(uv)[0] == pytest.approx(expected, rel=1e-4, abs=1e-5 * np.abs(expected).max())
 
 
-@given(seeds)
-def test_stretch_hessian_is_the_projected_second_derivative(seed):
+@pytest.mark.parametrize("expansion", [Expansion(0.0, 0.0), BALANCED, Expansion(1.0, 0.0)])
+@given(seed=seeds)
+@settings(max_examples=40)
+def test_stretch_hessian_is_the_projected_second_derivative(seed, expansion):
     corners, uv = random_triangle(seed)
-    energy = stretch_energy(corners)
+    energy = stretch_energy(corners, expansion=expansion)
     exact = np.array([finite_difference_gradient(lambda at, index=index: energy.gradients(at)[0][index], uv) for index in range(6)])
     hessian = energy.hessians(uv)[0]
     eigenvalues = np.linalg.eigvalsh(hessian)
@@ -69,6 +74,18 @@ def test_an_isometry_reaches_the_lower_bound():
     assert energy.value(corners[:, :2]) == pytest.approx(energy.lower_bound())
     assert energy.gradients(corners[:, :2]) == pytest.approx(np.zeros((1, 6)), abs=1e-12)
     assert energy.value(corners[:, [1, 0]]) == np.inf
+    assert energy.distortion_excess(3.0 * corners[:, :2]) == pytest.approx(0.0)
+
+
+def test_terms_of_a_triangle_that_is_stretched_in_the_map():
+    """The singular values are 4 and 1; the area is 1."""
+    corners = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.5, 1.0, 0.0]])
+    uv = corners[:, :2] * [4.0, 1.0]
+    assert stretch_energy(corners, 1.0, Expansion(0.0, 0.0)).terms(uv) == pytest.approx((0.5 * (1.0 + 1.0 / 16.0), 4.0))
+    assert stretch_energy(corners, 1.0, Expansion(1.0, 0.0)).terms(uv)[1] == pytest.approx(0.5 * 17.0)
+    assert stretch_energy(corners, 1.0, Expansion(0.5, 0.2)).terms(uv)[1] == pytest.approx(2.0 + 0.25 * 17.0 + 0.1 * (17.0 - 10.0) ** 2)
+    for size in (1.0, 5.0):
+        assert stretch_energy(corners, 1.0).distortion_excess(size * uv) == pytest.approx(np.sqrt(17.0 * 17.0 / 16.0) / 2.0 - 1.0)
 
 
 @given(seeds)

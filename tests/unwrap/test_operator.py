@@ -73,7 +73,17 @@ def test_a_sphere_gets_its_own_uv_map():
     assert metrics["flips"] == metrics["overlaps"] == 0 and 1.0 < metrics["l2"] < 1.3
     assert item.data[uv_maps.METRICS_PROPERTY]["densities"].to_list() == pytest.approx([1.0, 0.0, 0.0, 0.0])
     stretches = [value.value for value in item.data.attributes[uv_maps.STRETCH_ATTRIBUTE].data]
-    assert max(stretches) == pytest.approx(metrics["linf"], rel=1e-3)
+    farthest = max(metrics["linf"], metrics["max_expansion"])  # Compression or expansion, whichever is larger.
+    assert np.exp(np.abs(np.log(stretches)).max()) == pytest.approx(farthest, rel=1e-3)
+
+
+def test_a_face_has_the_stretch_of_its_triangle_that_is_farthest_from_1():
+    item = add_mesh("Quad", SQUARE, [(0, 1, 2, 3)])
+    target = uv_maps.read_uv_target(item, None)
+    corner_uvs = target.mesh.corners[:, :, :2]
+    for stretches, expected in (([1.5, 0.5], 0.5), ([0.9, 4.0], 4.0), ([np.inf, 0.5], np.finfo(np.float32).max)):
+        uv_maps.write_uv_map(target, corner_uvs, np.array(stretches), "Unwrap", {})
+        assert item.data.attributes[uv_maps.STRETCH_ATTRIBUTE].data[0].value == pytest.approx(expected)
 
 
 def test_concave_polygons_are_not_cut():

@@ -6,18 +6,19 @@ import pytest
 from charts import chart_of, dome, parameterize_and_check, sphere_with_holes
 from farfield.addon.core.errors import GeometryError
 from farfield.addon.core.geometry.edges import find_edges
-from farfield.addon.core.geometry.mesh import face_areas_and_normals
+from farfield.addon.core.geometry.mesh import TriangleMesh, face_areas_and_normals
 from farfield.addon.core.geometry.transforms import signed_areas
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.unwrap.cutting.boundaries import boundary_loops
 from farfield.addon.core.unwrap.cutting.chart import Chart
+from farfield.addon.core.unwrap.distortion import compute_stretches, measure_distortion
 from farfield.addon.core.unwrap.energies.rest_shapes import compute_rest_shapes
 from farfield.addon.core.unwrap.energies.shape_barrier import min_height_to_base
 from farfield.addon.core.unwrap.energies.stretch_energy import compute_jacobians
 from farfield.addon.core.unwrap.multiresolution.halfedge_decimation import decimate
 from farfield.addon.core.unwrap.multiresolution.vertex_splits import split_vertices
 from farfield.addon.core.unwrap.parameterization.density_control import compute_density_ratio
-from farfield.addon.core.unwrap.parameterization.parameterize import Boundary, parameterize
+from farfield.addon.core.unwrap.parameterization.parameterize import Balance, Boundary, parameterize
 from farfield.addon.core.unwrap.parameterization.tutte import circle_outline, square_outline, tutte_embedding
 from shapes import cylinder, random_rotation, sheet, sphere
 
@@ -47,6 +48,28 @@ def test_a_dome_has_little_stretch():
     uv = parameterize_and_check(chart)
     assert 1.02 < l2_stretch(chart, uv) < 1.06  # the Lambert azimuthal equal-area projection has 1.061
     assert signed_areas(uv[chart.triangles]).sum() == pytest.approx(1.0, abs=0.1)
+
+
+def test_the_balance_decides_between_stretch_needles_and_even_sizes():
+    """The opening of a nearly closed sphere is too short for the map."""
+    chart = chart_of(dome(24, 0.85))
+    metrics = {}
+    for balance in Balance:
+        uv = parameterize_and_check(chart, Boundary.FREE, 0.0, balance)
+        mesh, corner_uvs = TriangleMesh(chart.vertices, chart.triangles), uv[chart.triangles]
+        stretches = run_to_end(compute_stretches(mesh, corner_uvs))
+        metrics[balance] = run_to_end(measure_distortion(mesh, corner_uvs, stretches, np.zeros(len(corner_uvs))))
+    balanced, symmetric, stretch = (metrics[balance] for balance in (Balance.BALANCED, Balance.SYMMETRIC, Balance.STRETCH))
+    assert stretch.l2 < balanced.l2 < symmetric.l2
+    lowest = symmetric.symmetric_dirichlet
+    assert lowest < balanced.symmetric_dirichlet < 1.03 * lowest < stretch.symmetric_dirichlet
+    assert balanced.needles < symmetric.needles < 0.5 * stretch.needles
+
+
+def test_nothing_is_returned_where_a_chart_is_too_distorted():
+    chart = chart_of(dome(24, 0.9))
+    assert run_to_end(parameterize(chart, Boundary.FREE, 0.0, max_excess=0.05)) is None
+    assert run_to_end(parameterize(chart_of(dome(24, 0.3)), Boundary.FREE, 0.0, max_excess=0.05)) is not None
 
 
 def test_stretch_does_not_depend_on_size_and_placement_of_the_surface():

@@ -17,7 +17,10 @@ from shapes import sphere
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 SCRIPT = environment.ROOT / "scripts" / "unwrap.py"
-REPORT_KEYS = ("l2", "linf", "p95", "p99", "symmetric_dirichlet", "flips", "overlaps", "min_quality", "fill", "seconds", "density_ratio")
+REPORT_KEYS = (
+    *("l2", "linf", "p95", "p99", "max_expansion", "symmetric_dirichlet", "anisotropy_p99", "anisotropic_fraction", "needles"),
+    *("flips", "overlaps", "min_quality", "fill", "seconds", "density_ratio"),
+)
 
 
 @pytest.fixture

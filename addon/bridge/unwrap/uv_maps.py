@@ -13,7 +13,7 @@ from ..geometry.mesh_arrays import read_attribute, read_loop_triangles, read_loo
 from ..geometry.meshes import describe_type, is_collection_instance, is_in_view_layer
 from ..objects import find_by_uid
 
-STRETCH_ATTRIBUTE = "farfield_stretch"  # Face attribute: maximum stretch of the triangles of a polygon.
+STRETCH_ATTRIBUTE = "farfield_stretch"  # Face attribute: the stretch farthest from 1 of the triangles of a polygon.
 PIN_PREFIX = ".pn."  # The attribute with the pinned corners of a UV map has this before the map's name.
 METRICS_PROPERTY = "farfield_unwrap"  # Custom property of a mesh.
 MAX_UV_MAPS = 8  # Per mesh.
@@ -126,7 +126,7 @@ def find_mesh(target: UvTarget, uv_map: str) -> bpy.types.Mesh:
 
 
 def write_uv_map(target: UvTarget, corner_uvs: np.ndarray, stretches: np.ndarray, uv_map: str, metrics: dict[str, float]) -> None:
-    """Write the UV map `corner_uvs` (T, 3, 2), its stretch (T,) as an attribute and its metrics into the mesh, and make the map active.
+    """Write the UV map `corner_uvs` (T, 3, 2), its dominant stretch (T,) and its metrics into the mesh, and make it active.
 
     Raises:
         GeometryError: see `find_mesh`.
@@ -139,8 +139,10 @@ def write_uv_map(target: UvTarget, corner_uvs: np.ndarray, stretches: np.ndarray
     write_uvs(layer, uvs)
     attribute = mesh.attributes.get(STRETCH_ATTRIBUTE) or mesh.attributes.new(STRETCH_ATTRIBUTE, "FLOAT", "FACE")
     polygon_stretches = read_attribute(attribute)
-    polygon_stretches[target.polygon_ids] = 0.0
-    np.maximum.at(polygon_stretches, target.polygon_ids, np.minimum(stretches, np.finfo(np.float32).max).astype(np.float32))
+    float32 = np.finfo(np.float32)
+    limited = np.clip(stretches, float32.tiny, float32.max).astype(np.float32)
+    order = np.argsort(np.abs(np.log(limited)), kind="stable")  # Of the triangles of a polygon the last one counts.
+    polygon_stretches[target.polygon_ids[order]] = limited[order]
     attribute.data.foreach_set("value", polygon_stretches)
     mesh[METRICS_PROPERTY] = metrics
     mesh.update()

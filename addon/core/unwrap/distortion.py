@@ -16,6 +16,8 @@ from .parameterization.density_control import compute_density_ratio
 
 NEGLIGIBLE_AREA = 1e-9  # The stretch of triangles below this fraction of the mean area is rounding noise.
 PERCENTILES = 95.0, 99.0
+MAX_ANISOTROPY = 4.0  # Above it a texture visibly smears along a line.
+MAX_NEEDLE_EXPANSION = 4.0  # Triangles that are longer in the map than this multiple, and anisotropic, are needles.
 IMPORTANCE_BINS = 4
 NEUTRAL, STRETCHED, COMPRESSED = np.array([0.93, 0.93, 0.90]), np.array([0.75, 0.10, 0.08]), np.array([0.10, 0.28, 0.70])
 SATURATION_STRETCH = 2.0  # Stretch, or its inverse, that gets the full color.
@@ -34,15 +36,35 @@ class Stretches:
     min_stretch: np.ndarray
     is_flipped: np.ndarray
 
+    @property
+    def dominant(self) -> np.ndarray:
+        """The one of both stretches (T,) that is farther from 1: above 1 where the map is compressed, below 1 where it is expanded."""
+        return np.where(self.max_stretch * self.min_stretch >= 1.0, self.max_stretch, self.min_stretch)
+
+    @property
+    def anisotropy(self) -> np.ndarray:
+        """The ratio (T,) of both stretches, 1 or more."""
+        is_finite = (self.max_stretch < np.inf) & (self.min_stretch > 0.0)
+        return np.divide(self.max_stretch, self.min_stretch, out=np.full(len(is_finite), np.inf), where=is_finite)
+
+    @property
+    def is_needle(self) -> np.ndarray:
+        """Triangles (T,) bool that are anisotropic and expanded by more than `MAX_NEEDLE_EXPANSION`."""
+        return (self.anisotropy > MAX_ANISOTROPY) & (self.min_stretch * MAX_NEEDLE_EXPANSION < 1.0)
+
 
 @dataclass(frozen=True)
 class DistortionMetrics:
-    """Metrics of a UV map. For an isometry the stretches are 1 and symmetric_dirichlet is 4.
+    """Metrics of a UV map that is scaled to the area of the surface. For an isometry the stretches are 1 and symmetric_dirichlet is 4.
 
     Attributes:
-        l2, linf: Geometric stretch, mean and maximum (Sander et al. 2001, section 3).
+        l2, linf: Geometric stretch, mean and maximum (Sander et al. 2001, section 3). The maximum is the largest compression in the map.
         p95, p99: Percentiles of the maximum stretch of triangles, weighted by area.
-        symmetric_dirichlet: Mean symmetric Dirichlet energy.
+        max_expansion: Largest ratio of a length in the map to the length on the surface.
+        symmetric_dirichlet: Mean symmetric Dirichlet energy at the best scale.
+        anisotropy_p99: 99th percentile of the ratio of the two stretches of triangles, weighted by area.
+        anisotropic_fraction: Fraction of the used texture in triangles with a ratio above `MAX_ANISOTROPY`.
+        needles: Fraction of the used texture in such triangles that are expanded by more than `MAX_NEEDLE_EXPANSION`.
         flips: Number of flipped triangles.
         overlaps: Number of overlapping pairs of triangles.
         min_quality: Minimum height-to-base ratio of UV triangles.
@@ -56,7 +78,11 @@ class DistortionMetrics:
     linf: float
     p95: float
     p99: float
+    max_expansion: float
     symmetric_dirichlet: float
+    anisotropy_p99: float
+    anisotropic_fraction: float
+    needles: float
     flips: int
     overlaps: int
     min_quality: float
@@ -74,7 +100,7 @@ def compute_stretches(mesh: TriangleMesh, corner_uvs: np.ndarray) -> Steps[Stret
     determinants = jacobians.determinants
     areas, _ = face_areas_and_normals(mesh.corners)
     yield Progress(0.0, "Measuring")
-    scale = np.sqrt(areas @ np.abs(determinants) / areas.sum())
+    scale = np.sqrt(areas @ np.abs(determinants) / (areas.sum() or 1.0))
     # Singular values s1 >= s2 from s1^2 + s2^2 and s1 s2; s2 = determinant / s1 keeps precision.
     half_difference = np.sqrt(np.maximum(jacobians.frobenius_squared**2 - 4.0 * determinants**2, 0.0))
     largest = np.sqrt(0.5 * (jacobians.frobenius_squared + half_difference))
@@ -96,12 +122,13 @@ def measure_distortion(
     weights = areas[measurable] / areas[measurable].sum()
     max_stretch, min_stretch = stretches.max_stretch[measurable], stretches.min_stretch[measurable]
     squares = max_stretch**2 + min_stretch**2
-    order = np.argsort(max_stretch)
-    ranks = 100.0 * np.cumsum(weights[order])
-    p95, p99 = (float(max_stretch[order[min(int(np.searchsorted(ranks, rank)), len(order) - 1)]]) for rank in PERCENTILES)
+    p95, p99 = _percentiles(max_stretch, weights)
     with np.errstate(divide="ignore"):
-        dirichlet = float(weights @ (squares + 1.0 / max_stretch**2 + 1.0 / min_stretch**2))
+        inverse_squares = 1.0 / max_stretch**2 + 1.0 / min_stretch**2
+        dirichlet = 2.0 * np.sqrt((weights @ squares) * (weights @ inverse_squares))  # The best scale balances both means.
     uv_areas = np.abs(signed_areas(corner_uvs))
+    used_texture = uv_areas[measurable] / uv_areas[measurable].sum()
+    anisotropy = stretches.anisotropy[measurable]
     yield Progress(0.0, "Measuring")
     overlaps = yield from count_overlaps(corner_uvs)
     return DistortionMetrics(
@@ -109,7 +136,11 @@ def measure_distortion(
         linf=float(max_stretch.max()),
         p95=p95,
         p99=p99,
-        symmetric_dirichlet=dirichlet,
+        max_expansion=float(1.0 / min_stretch.min()),
+        symmetric_dirichlet=float(dirichlet),
+        anisotropy_p99=_percentiles(anisotropy, weights)[1],
+        anisotropic_fraction=float(used_texture[anisotropy > MAX_ANISOTROPY].sum()),
+        needles=float(used_texture[stretches.is_needle[measurable]].sum()),
         flips=int(stretches.is_flipped.sum()),
         overlaps=overlaps,
         min_quality=float(min_height_to_base(corner_uvs).min()),
@@ -117,6 +148,14 @@ def measure_distortion(
         densities=_compute_densities(uv_areas, areas, importance),
         density_ratio=compute_density_ratio(uv_areas, areas, importance),
     )
+
+
+def _percentiles(values: np.ndarray, weights: np.ndarray) -> tuple[float, float]:
+    """Return `PERCENTILES` of `values` (N,) by their `weights` (N,), which sum to 1."""
+    order = np.argsort(values)
+    ranks = 100.0 * np.cumsum(weights[order])
+    p95, p99 = (float(values[order[min(int(np.searchsorted(ranks, rank)), len(order) - 1)]]) for rank in PERCENTILES)
+    return p95, p99
 
 
 def _compute_densities(uv_areas: np.ndarray, areas: np.ndarray, importance: np.ndarray) -> tuple[float, ...]:

@@ -12,6 +12,11 @@ IMPORTANCE = {
     "cameras": Choice("All Cameras", "Density follows the pixels that all cameras of the scene show"),
     "vertex_group": Choice("Vertex Group", "Higher density where a vertex group is painted"),
 }
+BALANCES = {
+    "balanced": Choice("Balanced", "Little stretch, without faces that are drawn into long needles in the UV map"),
+    "symmetric": Choice("Even Sizes", "Faces that are too large and faces that are too small count the same (symmetric Dirichlet energy)"),
+    "stretch": Choice("As in the Paper", "L2 stretch alone. Faces along concave boundaries may fill much of the texture"),
+}
 ISLANDS = {
     "one": Choice("One per Part", "One UV island per connected part, cut open where necessary"),
     "atlas": Choice("Atlas", "Many UV islands with little stretch, cut along creases"),
@@ -47,8 +52,11 @@ class UnwrapSettings(Settings):
         minimum=0.0,
         maximum=0.3,
     )
+    balance: str = setting(
+        "balanced", "What counts as distortion: faces that are too small, or also faces that are too large in the UV map", choices=BALANCES
+    )
     islands: str = setting("one", "How the surface is divided into UV islands", choices=ISLANDS)
-    further_cuts: bool = setting(True, "Also cut nearly closed parts. When off, parts are only cut where necessary")
+    further_cuts: bool = setting(True, "Also cut nearly closed and strongly distorted parts. When off, parts are only cut where necessary")
     boundary: str = setting("free", "Shape of the boundary of each UV island", choices=BOUNDARIES)
     margin: float = setting(
         0.004, "Margin around each UV island, relative to the side of the UV square", minimum=0.0, maximum=0.1, unit=Unit.FRACTION

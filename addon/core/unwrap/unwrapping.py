@@ -11,14 +11,18 @@ from ..geometry.transforms import signed_areas
 from ..jobs.progress import Progress, Steps, subprogress
 from .cutting.atlas_seams import find_atlas_seams
 from .cutting.chart import Chart
-from .cutting.charts import CutChart, cut_into_charts
+from .cutting.charts import CutChart, cut_further, cut_into_charts
+from .cutting.cuts import POOR_EXCESS
 from .distortion import DistortionMetrics, Stretches, compute_stretches, measure_distortion
 from .packing import pack_charts
 from .parameterization.developable import unfold_developable
-from .parameterization.parameterize import Boundary, parameterize
+from .parameterization.parameterize import Balance, Boundary, parameterize
 from .settings import UnwrapSettings
 
 CUTTING_END, PARAMETERIZATION_END, PACKING_END = 0.1, 0.9, 0.95  # Fractions of the progress bar.
+MAX_CUT_ROUNDS = 2  # In each a chart is cut towards all its most distorted parts; in the second one only where it is poor or has needles.
+MAX_EXCESS = 0.3  # Of symmetric Dirichlet energy over 4: charts with more in one piece are cut further.
+MAX_NEEDLES = 0.003  # As a fraction of a chart's map, above which it is cut further.
 MIN_CHART_AREA = 1e-7  # As a fraction of the total area.
 
 
@@ -63,7 +67,7 @@ def unwrap(
     surface = Chart(mesh.vertices, mesh.triangles, density, polygon_ids)
     charts = yield from subprogress(cut_into_charts(surface, seams, settings.further_cuts), 0.0, CUTTING_END)
     seconds["cut"], started = time.perf_counter() - started, time.perf_counter()
-    uvs = yield from subprogress(_parameterize_charts(charts, settings), CUTTING_END, PARAMETERIZATION_END)
+    charts, uvs = yield from subprogress(_parameterize_charts(charts, settings), CUTTING_END, PARAMETERIZATION_END)
     seconds["parameterize"], started = time.perf_counter() - started, time.perf_counter()
     yield Progress(PARAMETERIZATION_END, "Packing")
     uvs = pack_charts(uvs, [cut.chart.triangles for cut in charts], settings.margin)
@@ -88,20 +92,54 @@ def check_surface(mesh: TriangleMesh, name: str) -> None:
         raise GeometryError(f'Every face of "{name}" has zero area; choose an object with a surface.')
 
 
-def _parameterize_charts(charts: list[CutChart], settings: UnwrapSettings) -> Steps[list[np.ndarray]]:
-    """Return the uv (V, 2) of every chart, scaled by its density."""
-    total, done, uvs = sum(len(cut.triangle_indices) for cut in charts), 0, []
-    boundary = Boundary(settings.boundary)
+def _parameterize_charts(charts: list[CutChart], settings: UnwrapSettings) -> Steps[tuple[list[CutChart], list[np.ndarray]]]:
+    """Return the charts, cut further where necessary, and the uv (V, 2) of each, scaled by its density."""
+    total, done, maps = sum(len(cut.triangle_indices) for cut in charts), 0, []
     for index, cut in enumerate(charts):
         fraction = len(cut.triangle_indices) / total
         yield Progress(done, f"Unwrapping UV island {index + 1} of {len(charts)}")
-        uv = (yield from subprogress(unfold_developable(cut.chart), done, done)) if boundary is Boundary.FREE else None
-        if uv is None:
-            uv = yield from subprogress(parameterize(cut.chart, boundary, settings.min_quality), done, done + fraction)
-        uvs.append(uv)
+        maps += yield from subprogress(_parameterize_chart(cut, settings, MAX_CUT_ROUNDS), done, done + fraction)
         done += fraction
     yield Progress(1.0, "Packing")
-    return _scale_to_density(uvs, [cut.chart for cut in charts])
+    charts, uvs = [cut for cut, _ in maps], [uv for _, uv in maps]
+    return charts, _scale_to_density(uvs, [cut.chart for cut in charts])
+
+
+def _parameterize_chart(cut: CutChart, settings: UnwrapSettings, rounds_left: int) -> Steps[list[tuple[CutChart, np.ndarray]]]:
+    """Return a chart with its uv (V, 2), or the charts into which it is cut because it is strongly distorted in one piece."""
+    boundary, balance = Boundary(settings.boundary), Balance(settings.balance)
+    uv = (yield from subprogress(unfold_developable(cut.chart), 0.0, 0.0)) if boundary is Boundary.FREE else None
+    if uv is not None:
+        return [(cut, uv)]
+    if boundary is not Boundary.FREE or not cut.may_be_cut or rounds_left == 0:
+        return [(cut, (yield from parameterize(cut.chart, boundary, settings.min_quality, balance)))]
+    is_first_round = rounds_left == MAX_CUT_ROUNDS
+    max_excess = MAX_EXCESS if is_first_round else POOR_EXCESS
+    try:
+        uv = yield from subprogress(parameterize(cut.chart, boundary, settings.min_quality, balance, max_excess), 0.0, 0.5)
+    except GeometryError:
+        uv = None
+    if uv is not None and (yield from subprogress(_needle_fraction(cut.chart, uv), 0.5, 0.5)) <= MAX_NEEDLES:
+        return [(cut, uv)]
+    pieces = yield from subprogress(cut_further(cut, uv is None and not is_first_round), 0.5, 0.5)
+    is_uncut = len(pieces) == 1 and len(pieces[0].chart.vertices) == len(cut.chart.vertices)
+    if is_uncut and uv is not None:
+        return [(cut, uv)]
+    maps, done = [], 0.5
+    for piece in pieces:
+        stop = done + 0.5 * len(piece.triangle_indices) / len(cut.triangle_indices)
+        steps = _parameterize_chart(piece, settings, rounds_left - 1)
+        maps += yield from subprogress(steps, done, stop)
+        done = stop
+    return maps
+
+
+def _needle_fraction(chart: Chart, uv: np.ndarray) -> Steps[float]:
+    """Return the fraction of the map `uv` (V, 2) in needles."""
+    corner_uvs = uv[chart.triangles]
+    stretches = yield from compute_stretches(TriangleMesh(chart.vertices, chart.triangles), corner_uvs)
+    areas = signed_areas(corner_uvs)
+    return float(areas[stretches.is_needle].sum() / areas.sum())
 
 
 def _scale_to_density(uvs: list[np.ndarray], charts: list[Chart]) -> list[np.ndarray]:

@@ -73,7 +73,7 @@ class UnwrapJob:
             for target in self.targets:
                 uv_maps.find_mesh(target, self.settings.uv_map)
             for target, result in zip(self.targets, core_result, strict=True):
-                stretches = result.stretches.max_stretch
+                stretches = result.stretches.dominant
                 uv_maps.write_uv_map(target, result.corner_uvs, stretches, self.settings.uv_map, asdict(result.metrics))
                 self.results.append((target, result))
         finally:

@@ -17,10 +17,14 @@ MAX_CUT_ROUNDS = 4  # Before a component is cut along the complement of a spanni
 
 @dataclass(frozen=True)
 class CutChart:
-    """A chart, and the indices (T,) in the surface of its triangles."""
+    """A chart, and the indices (T,) in the surface of its triangles.
+
+    may_be_cut: whether it may be cut further, because it has no seams.
+    """
 
     chart: Chart
     triangle_indices: np.ndarray
+    may_be_cut: bool
 
 
 def cut_into_charts(surface: Chart, seams: np.ndarray, further_cuts: bool = True) -> Steps[list[CutChart]]:
@@ -31,7 +35,7 @@ def cut_into_charts(surface: Chart, seams: np.ndarray, further_cuts: bool = True
 
     Args:
         seams: (S, 2) vertices of edges that are always cut.
-        further_cuts: cut nearly closed components without seams like closed ones.
+        further_cuts: cut nearly closed components without seams like closed ones, and let `cut_further` cut them.
     """
     triangles, progress = surface.triangles, Progress(0.0, "Cutting")
     edges = find_edges(triangles, len(surface.vertices))
@@ -44,20 +48,32 @@ def cut_into_charts(surface: Chart, seams: np.ndarray, further_cuts: bool = True
     yield progress
     total, done, charts = len(triangles), 0, []
     for component, members in components:
-        steps = _cut_to_disks(component, MAX_CUT_ROUNDS, further_cuts and not has_seam[members].any())
+        may_be_cut = bool(further_cuts and not has_seam[members].any())
+        steps = _cut_to_disks(component, MAX_CUT_ROUNDS, may_be_cut)
         disks = yield from subprogress(steps, done / total, (done + len(members)) / total)
-        charts += [CutChart(disk, members[indices]) for disk, indices in disks]
+        charts += [CutChart(disk, members[indices], may_be_cut) for disk, indices in disks]
         done += len(members)
     return sorted(charts, key=lambda cut: -len(cut.triangle_indices))
 
 
-def _cut_to_disks(chart: Chart, rounds_left: int, further_cuts: bool) -> Steps[list[tuple[Chart, np.ndarray]]]:
+def cut_further(cut: CutChart, is_poor: bool) -> Steps[list[CutChart]]:
+    """Return the charts of a strongly distorted chart that is cut towards its most distorted parts; only itself where that helps little.
+
+    is_poor: divide it into an atlas instead of returning only itself.
+    """
+    disks = yield from _cut_to_disks(cut.chart, MAX_CUT_ROUNDS, True, True, is_poor)
+    return [CutChart(disk, cut.triangle_indices[indices], True) for disk, indices in disks]
+
+
+def _cut_to_disks(
+    chart: Chart, rounds_left: int, further_cuts: bool, is_distorted: bool = False, is_poor: bool = False
+) -> Steps[list[tuple[Chart, np.ndarray]]]:
     """Cut a component into disks, possibly with holes; return each with the indices of its triangles."""
     edges = find_edges(chart.triangles, len(chart.vertices))
     yield Progress(0.0, "Cutting")
     halfedges = edges.interior_halfedges
     if rounds_left > 0:
-        is_cut_edge = yield from cut_to_disk_edges(chart, edges, further_cuts)
+        is_cut_edge = yield from cut_to_disk_edges(chart, edges, further_cuts, is_distorted, is_poor)
         is_cut = is_cut_edge[edges.interior]
     else:
         is_cut = _spanning_tree_cut(chart, halfedges)

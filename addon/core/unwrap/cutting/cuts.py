@@ -16,10 +16,10 @@ from ...errors import GeometryError
 from ...geometry.edges import Edges, find_edges
 from ...geometry.mesh import TriangleMesh, face_areas_and_normals
 from ...jobs.progress import Progress, Steps, run_to_end, subprogress
-from ..energies.rest_shapes import RestShapes, compute_rest_shapes
+from ..energies.rest_shapes import compute_rest_shapes
 from ..energies.stretch_energy import StretchEnergy, squared_stretches
 from ..multiresolution.halfedge_decimation import decimate
-from ..parameterization.parameterize import Boundary, parameterize
+from ..parameterization.parameterize import EXPANSIONS, Balance, Boundary, parameterize
 from .atlas_seams import find_atlas_seams
 from .boundaries import boundary_loops
 from .chart import Chart, split_into_components
@@ -30,24 +30,28 @@ INSIDE_POLYGON_COST = 1e6  # Cost factor of edges inside a polygon.
 MAX_FILLED_HOLE = 0.01  # A hole that encloses a larger fraction of the area, as a circle, is connected to the boundary instead of filled.
 MAX_CLOSED_OPENING = 0.05  # A part is nearly closed if all its openings enclose a smaller fraction of its area, as circles.
 PROXY_VERTICES = 600  # Vertices of the decimated mesh.
-POOR_STRETCH_EXCESS = 1.0  # Above it parameterizations say little about where to cut, and cutting continues in any case.
+POOR_EXCESS = (
+    1.0  # Of symmetric Dirichlet energy. Above it parameterizations say little about where to cut, and cutting continues in any case.
+)
 MAX_ENDPOINTS, MAX_ENDPOINTS_WHILE_POOR = 10, 12  # Maximum endpoints of cuts from where the stretch is no longer poor, and until then.
-MIN_RELATIVE_GAIN, MIN_GAIN = 0.1, 0.02  # Further cuts must reduce the stretch excess by so much each, relative and absolute.
+MIN_RELATIVE_GAIN, MIN_GAIN = 0.1, 0.02  # Further cuts must reduce the excess by so much each, relative and absolute.
 
 
-def cut_to_disk_edges(chart: Chart, edges: Edges, further_cuts: bool) -> Steps[np.ndarray]:
+def cut_to_disk_edges(chart: Chart, edges: Edges, further_cuts: bool, is_distorted: bool, is_poor: bool) -> Steps[np.ndarray]:
     """Return which `edges` (E,) bool to cut next to turn a chart into a disk, possibly with small holes; none if it is one.
 
     Args:
         chart: a connected and oriented manifold of any genus, closed or not.
         edges: of the chart.
-        further_cuts: also cut nearly closed charts and charts of uneven density.
+        further_cuts: also cut nearly closed charts, charts of uneven density and distorted charts.
+        is_distorted: whether the chart is strongly distorted in one piece.
+        is_poor: whether it is distorted by more than `POOR_EXCESS`; it is divided into an atlas if its proxy is not.
     """
     loops = boundary_loops(chart.triangles, chart.vertices)
     handles = 2 - len(loops) - (len(chart.vertices) - len(edges.ends) + len(chart.triangles))
     openings = _opening_areas(chart, loops)
     is_large_hole = openings[1:] > MAX_FILLED_HOLE
-    further_cuts = further_cuts and (openings.max(initial=0.0) < MAX_CLOSED_OPENING or float(np.ptp(chart.density)) > 0.0)
+    further_cuts = further_cuts and (is_distorted or openings.max(initial=0.0) < MAX_CLOSED_OPENING or float(np.ptp(chart.density)) > 0.0)
     if not handles and loops and not is_large_hole.any() and not further_cuts:
         return np.zeros(len(edges.ends), bool)
     yield Progress(0.0, "Finding cuts")
@@ -58,7 +62,8 @@ def cut_to_disk_edges(chart: Chart, edges: Edges, further_cuts: bool) -> Steps[n
         return paths.connect_loops(loops[0], [loop for loop, is_large in zip(loops[1:], is_large_hole, strict=True) if is_large])
     start = loops[0] if loops else paths.farthest_pair()[:1]
     endpoints = yield from _find_endpoints(chart, start, 0 if loops else 1)
-    return _atlas_cut(chart, edges) if endpoints is None else paths.paths_to(start, endpoints)
+    needs_atlas = endpoints is None or (is_poor and not endpoints)
+    return _atlas_cut(chart, edges) if needs_atlas else paths.paths_to(start, endpoints)
 
 
 def _atlas_cut(chart: Chart, edges: Edges) -> np.ndarray:
@@ -232,27 +237,27 @@ def _find_endpoints(chart: Chart, start: np.ndarray, required: int) -> Steps[lis
     while len(endpoints) <= max_count:
         yield Progress(0.5 + 0.5 * len(endpoints) / (max_count + 1), "Finding cuts")
         excess, stretch = _stretch_after_cut(proxy, edges, cut)
-        if best < POOR_STRETCH_EXCESS and best - excess < max(MIN_RELATIVE_GAIN * best, MIN_GAIN):
+        if best < POOR_EXCESS and best - excess < max(MIN_RELATIVE_GAIN * best, MIN_GAIN):
             break
-        if excess < POOR_STRETCH_EXCESS <= best:
+        if excess < POOR_EXCESS <= best:
             max_count = len(endpoints) + MAX_ENDPOINTS
         useful_count, best = len(endpoints), excess
-        for _ in range(1 if best < POOR_STRETCH_EXCESS else 1 + len(endpoints) // 2):
+        for _ in range(1 if best < POOR_EXCESS else 1 + len(endpoints) // 2):
             distances = paths.distances(np.union1d(start, edges.ends[cut]))
-            endpoints.append(int(((np.sqrt(stretch) if best < POOR_STRETCH_EXCESS else 1.0) * distances).argmax()))
+            endpoints.append(int(((np.sqrt(stretch) if best < POOR_EXCESS else 1.0) * distances).argmax()))
             cut = paths.extend(cut, start, endpoints[-1])
-    return used[endpoints[:useful_count]].tolist() if best < POOR_STRETCH_EXCESS else None
+    return used[endpoints[:useful_count]].tolist() if best < POOR_EXCESS else None
 
 
 def _stretch_after_cut(proxy: Chart, edges: Edges, cut: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the stretch excess of a `proxy` that is `cut` (E,) bool along some of its `edges`, and the squared stretch (V,) at vertices.
+    """Return the distortion of a `proxy` that is `cut` (E,) bool along some of its `edges`, and the squared stretch (V,) at vertices.
 
-    Squared stretch is relative to the density; vertices outside of the first part of the cut proxy have the mean. Infinite excess and
-    stretch 1 where the proxy cannot be parameterized.
+    Distortion is the excess of symmetric Dirichlet energy. Squared stretch is relative to the density; vertices outside of the first part
+    of the cut proxy have the mean. Infinite excess and stretch 1 where the proxy cannot be parameterized.
     """
     disk, members = split_into_components(proxy, edges.interior_halfedges[~cut[edges.interior]])[0]
     try:
-        uv = run_to_end(parameterize(disk, Boundary.FREE, 0.0, is_rough=True))
+        uv = run_to_end(parameterize(disk, Boundary.FREE, 0.0, Balance.BALANCED, is_rough=True))
     except GeometryError:
         return np.inf, np.ones(len(proxy.vertices))
     shapes = compute_rest_shapes(disk.vertices[disk.triangles])
@@ -261,7 +266,8 @@ def _stretch_after_cut(proxy: Chart, edges: Edges, cut: np.ndarray) -> tuple[flo
     weighted = np.bincount(corners, areas * np.repeat(stretch, 3), len(proxy.vertices))
     total = np.bincount(corners, areas, len(proxy.vertices))
     mean = weighted.sum() / max(total.sum(), TINY)
-    return _stretch_excess(disk, shapes, uv), np.where(total > 0.0, weighted / np.maximum(total, TINY), mean)
+    energy = StretchEnergy(disk.triangles, shapes, disk.density**2, EXPANSIONS[Balance.BALANCED])
+    return energy.distortion_excess(uv), np.where(total > 0.0, weighted / np.maximum(total, TINY), mean)
 
 
 def _build_proxy(chart: Chart, triangles: np.ndarray) -> tuple[Chart, np.ndarray]:
@@ -270,10 +276,3 @@ def _build_proxy(chart: Chart, triangles: np.ndarray) -> tuple[Chart, np.ndarray
     log_density = np.bincount(chart.triangles.ravel(), np.repeat(np.log(chart.density), 3)) / np.bincount(chart.triangles.ravel())
     proxy = Chart(chart.vertices[used], indices.reshape(-1, 3).astype(np.int32), np.exp(log_density[triangles].mean(axis=1)))
     return proxy, used
-
-
-def _stretch_excess(chart: Chart, shapes: RestShapes, uv: np.ndarray) -> float:
-    """Return by which fraction the energy of `uv` exceeds that of a map without stretch, at the best scale."""
-    energy = StretchEnergy(chart.triangles, shapes, chart.density**2)
-    stretch, area = energy.terms(uv)
-    return 2.0 * np.sqrt(stretch * area) / energy.lower_bound() - 1.0

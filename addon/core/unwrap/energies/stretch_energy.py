@@ -1,9 +1,13 @@
-"""Sander's L2 geometric stretch of a UV map, weighted by importance, with gradient and Hessian.
+"""Stretch energy of a UV map in both directions, weighted by importance, with gradient and Hessian.
 
 A triangle with area A, whose Jacobian from the surface to the UV map has singular values s1 and s2, has the stretch energy
-w A (1 / s1^2 + 1 / s2^2) / 2 (Texture mapping progressive meshes, 2001; equation 2 of the paper with importance w). With a free boundary
-a larger map would always have less stretch, so the area of the map is added. The minimum of the sum is that of stretch times area, which
-does not depend on size (the minimum of a s^-2 + b s^2 over the scale s is 2 sqrt(a b)). With a fixed boundary the area is constant.
+w A (1 / s1^2 + 1 / s2^2) / 2 (Sander et al.: Texture mapping progressive meshes, 2001; equation 2 of the paper with importance w). With a
+free boundary a larger map would always have less stretch, so the expansion A ((1 - t) s1 s2 + t (s1^2 + s2^2) / 2) is added. The minimum of
+the sum is that of stretch times expansion, which does not depend on size (the minimum of a s^-2 + b s^2 over the scale s is 2 sqrt(a b)).
+
+With the symmetry t = 0 this is L2 stretch, which hardly sees triangles that are too large in the map, and with t = 1 the symmetric
+Dirichlet energy. For every t the map has the least stretch of all maps with its symmetric Dirichlet energy. Triangles that become needles
+in the map, a small part of the surface, get an additional expansion, which is 0 for all others.
 
 Hessians are projected to be positive semidefinite by clamping the four eigenvalues per triangle, which have a closed form for energies of
 singular values (Smith, de Goes, Kim: Analytic eigensystems for isotropic distortion energies, 2019).
@@ -15,6 +19,15 @@ from typing import NamedTuple
 import numpy as np
 
 from .rest_shapes import RestShapes
+
+NEEDLE_SQUARES = 10.0  # Triangles with a larger s1^2 + s2^2 count as needles; it is 2 for an isometry.
+
+
+class Expansion(NamedTuple):
+    """How triangles count that are too large in the map: symmetry t, 0 to 1, and stiffness, at least 0, of the penalty on needles."""
+
+    symmetry: float
+    needle_stiffness: float
 
 
 class Jacobians(NamedTuple):
@@ -53,24 +66,41 @@ def squared_stretches(shapes: RestShapes, triangles: np.ndarray, uv: np.ndarray)
 
 @dataclass(frozen=True)
 class StretchEnergy:
-    """Stretch energy of uv (V, 2) for `triangles` (T, 3) with importance `weights` (T,)."""
+    """Stretch energy of uv (V, 2) for `triangles` (T, 3) with importance `weights` (T,).
+
+    expansion: how triangles count that are too large in the map.
+    """
 
     triangles: np.ndarray
     shapes: RestShapes
     weights: np.ndarray
+    expansion: Expansion
 
     def value(self, uv: np.ndarray) -> float:
         """Return the energy; infinite where a triangle is flipped."""
         return sum(self.terms(uv))
 
     def terms(self, uv: np.ndarray) -> tuple[float, float]:
-        """Return the terms of the energy: stretch, infinite where a triangle is flipped, and area of the map."""
+        """Return the terms of the energy: stretch, infinite where a triangle is flipped, and expansion."""
         jacobians = compute_jacobians(self.shapes, self.triangles, uv)
         determinants = jacobians.determinants
         if not determinants.min() > 0.0:
             return np.inf, 0.0
         stretch = self.shapes.areas @ (0.5 * self.weights * jacobians.frobenius_squared / determinants**2)
-        return float(stretch), float(self.shapes.areas @ determinants)
+        t, squares = self.expansion.symmetry, jacobians.frobenius_squared
+        needles = 0.5 * self.expansion.needle_stiffness * np.sqrt(self.weights) * self._needle_excess(squares) ** 2
+        return float(stretch), float(self.shapes.areas @ ((1.0 - t) * determinants + 0.5 * t * squares + needles))
+
+    def distortion_excess(self, uv: np.ndarray) -> float:
+        """Return by which fraction symmetric Dirichlet energy exceeds that of a map without distortion, at the best scale."""
+        jacobians = compute_jacobians(self.shapes, self.triangles, uv)
+        squares, determinants = jacobians.frobenius_squared, jacobians.determinants
+        stretch, dirichlet = self.shapes.areas @ (self.weights * squares / determinants**2), self.shapes.areas @ squares
+        return float(np.sqrt(stretch * dirichlet) / self.lower_bound()) - 1.0
+
+    def _needle_excess(self, squares: np.ndarray) -> np.ndarray:
+        """Return by how much squared Frobenius norms (T,), relative to the requested density, exceed `NEEDLE_SQUARES`."""
+        return np.maximum(squares / np.sqrt(self.weights) - NEEDLE_SQUARES, 0.0)
 
     def lower_bound(self) -> float:
         """Return a lower bound of the energy: every triangle undistorted and at its best scale."""
@@ -87,8 +117,10 @@ class StretchEnergy:
         jacobians = compute_jacobians(self.shapes, self.triangles, uv)
         xx, xy, yx, yy = jacobians
         determinants = jacobians.determinants
-        a = self.shapes.areas * self.weights / determinants**2  # Coefficient of the Jacobian.
-        b = self.shapes.areas - a * jacobians.frobenius_squared / determinants  # Coefficient of its cofactor matrix.
+        squares, t = jacobians.frobenius_squared, self.expansion.symmetry
+        a = self.shapes.areas * self.weights / determinants**2
+        b = (1.0 - t) * self.shapes.areas - a * squares / determinants  # Coefficient of the cofactor matrix.
+        a += self.shapes.areas * (t + 2.0 * self.expansion.needle_stiffness * self._needle_excess(squares))  # Of the Jacobian.
         by_jacobian = a * xx + b * yy, a * xy - b * yx, a * yx - b * xy, a * yy + b * xx
         first, second = self.shapes.gradients
         gradients = np.empty((len(determinants), 3, 2))
@@ -116,13 +148,18 @@ class StretchEnergy:
         Args:
             s1, s2, left, right: see `_decompose`.
         """
-        weights = self.weights
+        weights, t = self.weights, self.expansion.symmetry
         product, square_sum = s1 * s2, s1**2 + s2**2
-        twist_value = 1.0 - weights * (square_sum - product) / product**3
-        flip_value = weights * (square_sum + product) / product**3 - 1.0
+        needle_excess = self._needle_excess(square_sum)
+        first_derivative = 2.0 * self.expansion.needle_stiffness * needle_excess
+        second_derivative = 4.0 * self.expansion.needle_stiffness * (needle_excess > 0.0) / np.sqrt(weights)
+        twist_value = 1.0 + first_derivative - weights * (square_sum - product) / product**3
+        flip_value = weights * (square_sum + product) / product**3 - 1.0 + 2.0 * t + first_derivative
         # The two scaling modes: eigenvalues of the 2 by 2 matrix of second derivatives by s1 and s2.
-        mean, half_difference = 1.5 * weights * (s1**-4 + s2**-4), 1.5 * weights * (s1**-4 - s2**-4)
-        split, angle = np.hypot(half_difference, 1.0), 0.5 * np.arctan2(1.0, half_difference)
+        mean = 1.5 * weights * (s1**-4 + s2**-4) + t + first_derivative + 0.5 * second_derivative * square_sum
+        half_difference = 1.5 * weights * (s1**-4 - s2**-4) + 0.5 * second_derivative * (s1**2 - s2**2)
+        mixed = 1.0 - t + second_derivative * product
+        split, angle = np.hypot(half_difference, mixed), 0.5 * np.arctan2(mixed, half_difference)
         (a, b), (c, d) = (np.cos(left), np.sin(left)), (np.cos(right), np.sin(right))
         scaling_1, scaling_2 = (a * c, -a * d, b * c, -b * d), (-b * d, -b * c, a * d, a * c)
         shear_1, shear_2 = (-b * c, b * d, a * c, -a * d), (a * d, a * c, b * d, b * c)

@@ -17,7 +17,9 @@ class OneRings:
     the surface, starting at the center vertex.
     """
 
-    def __init__(self, uv: np.ndarray, centers: np.ndarray, links: np.ndarray, vertices: np.ndarray, weights: np.ndarray) -> None:
+    def __init__(
+        self, uv: np.ndarray, centers: np.ndarray, links: np.ndarray, vertices: np.ndarray, weights: np.ndarray, symmetry: float = 0.0
+    ) -> None:
         """Collect the one-rings.
 
         Args:
@@ -36,6 +38,7 @@ class OneRings:
         shapes = compute_rest_shapes(self.corners)
         self._areas = shapes.areas
         self._weights = weights[triangles].mean(axis=1)
+        self._symmetry = symmetry
         gradients = shapes.gradients.transpose(2, 1, 0)
         self._center_gradients = gradients[:, 0]
         # Part of the Jacobians that does not depend on the center.
@@ -91,7 +94,8 @@ class OneRings:
         squares = np.einsum("eij,eij->e", jacobians, jacobians)
         upright = determinants > 0.0
         stretch = 0.5 * self._weights * squares / np.where(upright, determinants, 1.0) ** 2
-        return self.sum_over_rings(np.where(upright, self._areas * (stretch + determinants), np.inf))
+        expansion = (1.0 - self._symmetry) * determinants + 0.5 * self._symmetry * squares
+        return self.sum_over_rings(np.where(upright, self._areas * (stretch + expansion), np.inf))
 
     def _gradient_and_hessian(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the gradient (N, 2) and Hessian (N, 2, 2) of the energy by the positions."""
@@ -104,13 +108,14 @@ class OneRings:
         by_squares = np.einsum("eij,ej->ei", jacobians, self._center_gradients)
         scale = (self._areas * self._weights)[:, None]
         gradient = scale * (by_squares / determinants**2 - squares * by_determinant / determinants**3)
-        gradient = gradient + self._areas[:, None] * by_determinant
+        gradient = gradient + self._areas[:, None] * ((1.0 - self._symmetry) * by_determinant + self._symmetry * by_squares)
         mixed = np.einsum("ei,ej->eij", by_squares, by_determinant)
         squared_length = np.einsum("ei,ei->e", self._center_gradients, self._center_gradients)[:, None, None]
         scale, determinants, squares = scale[:, :, None], determinants[:, :, None], squares[:, :, None]
         hessian = squared_length * np.eye(2) / determinants**2 - 2.0 * (mixed + mixed.transpose(0, 2, 1)) / determinants**3
         outer = np.einsum("ei,ej->eij", by_determinant, by_determinant)
         hessian = scale * (hessian + 3.0 * squares * outer / determinants**4)
+        hessian = hessian + self._symmetry * (self._areas[:, None, None] * squared_length) * np.eye(2)
         return self.sum_over_rings(gradient), self.sum_over_rings(hessian)
 
 

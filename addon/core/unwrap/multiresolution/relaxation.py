@@ -13,7 +13,13 @@ NEWTON_STEPS = 2  # Per vertex.
 
 
 def relax_worst_vertices(
-    uv: np.ndarray, triangles: np.ndarray, vertices: np.ndarray, shapes: RestShapes, weights: np.ndarray, is_fixed: np.ndarray
+    uv: np.ndarray,
+    triangles: np.ndarray,
+    vertices: np.ndarray,
+    shapes: RestShapes,
+    weights: np.ndarray,
+    is_fixed: np.ndarray,
+    symmetry: float,
 ) -> np.ndarray:
     """Return uv (V, 2) with fewer strongly distorted triangles; the same array where there are none.
 
@@ -22,11 +28,13 @@ def relax_worst_vertices(
         vertices: (V, 3).
         weights: (V,) importance.
         is_fixed: (V,) bool.
+        symmetry: of the energy.
     """
     triangle_weights = weights[triangles].mean(axis=1)
     jacobians = compute_jacobians(shapes, triangles, uv)
     determinants = jacobians.determinants
-    energies = 0.5 * triangle_weights * jacobians.frobenius_squared / determinants**2 + determinants
+    energies = 0.5 * triangle_weights * jacobians.frobenius_squared / determinants**2
+    energies += (1.0 - symmetry) * determinants + 0.5 * symmetry * jacobians.frobenius_squared
     is_distorted = energies > MAX_ENERGY_RATIO * 2.0 * np.sqrt(triangle_weights)
     is_selected = np.zeros(len(uv), bool)
     is_selected[triangles[is_distorted]] = True
@@ -36,7 +44,7 @@ def relax_worst_vertices(
     uv = uv.copy()
     adjacent = triangles[is_selected[triangles].any(axis=1)]
     for centers in partition_into_independent_sets(adjacent, np.flatnonzero(is_selected)):
-        rings = OneRings(uv, centers, vertex_links(adjacent, centers, len(uv)), vertices, weights)
+        rings = OneRings(uv, centers, vertex_links(adjacent, centers, len(uv)), vertices, weights, symmetry)
         uv[centers] = rings.relax(uv[centers], NEWTON_STEPS)
     return uv
 

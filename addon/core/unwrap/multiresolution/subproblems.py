@@ -12,7 +12,7 @@ import numpy as np
 from ..energies.boundary_barrier import BoundaryBarrier
 from ..energies.rest_shapes import RestShapes
 from ..energies.shape_barrier import ShapeBarrier, min_height_to_base
-from ..energies.stretch_energy import StretchEnergy
+from ..energies.stretch_energy import Expansion, StretchEnergy
 from ..energies.uv_energy import Assembly, UvEnergy
 from .relaxation import relax_worst_vertices
 
@@ -36,6 +36,7 @@ class LevelTriangles:
         boundary: (B, 2) edges.
         is_free: (V,) bool, vertices that may move.
         activation_distance: Distance in the UV map at which the boundary barrier sets in.
+        expansion: How expansion counts in the energy.
     """
 
     vertices: np.ndarray
@@ -46,6 +47,7 @@ class LevelTriangles:
     boundary: np.ndarray
     is_free: np.ndarray
     activation_distance: float
+    expansion: Expansion
 
 
 class MultigridLevel(LevelTriangles):
@@ -114,6 +116,7 @@ class MultigridLevel(LevelTriangles):
             is_free=is_free[vertex_indices],
             is_relaxation_fixed=is_relaxation_fixed[vertex_indices],
             activation_distance=self.activation_distance,
+            expansion=self.expansion,
         )
 
 
@@ -146,7 +149,7 @@ class Subproblem(LevelTriangles):
                 barriers.append(ShapeBarrier(self.triangles[poor], poor, (weights * penalties)[poor], limits, True))
         return UvEnergy(
             Assembly(self.triangles, self.is_free),
-            StretchEnergy(self.triangles, self.shapes, self.weights),
+            StretchEnergy(self.triangles, self.shapes, self.weights, self.expansion),
             barriers,
             BoundaryBarrier(self.boundary, self.activation_distance) if len(self.boundary) else None,
             self.relax_worst_vertices,
@@ -154,7 +157,8 @@ class Subproblem(LevelTriangles):
 
     def relax_worst_vertices(self, uv: np.ndarray) -> np.ndarray:
         """Return uv (N, 2) with fewer strongly distorted triangles."""
-        return relax_worst_vertices(uv, self.triangles, self.vertices, self.shapes, self.vertex_weights, self.is_relaxation_fixed)
+        fixed = self.is_relaxation_fixed
+        return relax_worst_vertices(uv, self.triangles, self.vertices, self.shapes, self.vertex_weights, fixed, self.expansion.symmetry)
 
 
 def _divide_into_patches(positions: np.ndarray, first_fraction: float) -> Iterator[np.ndarray]:

@@ -18,6 +18,7 @@ from ..energies.boundary_barrier import self_intersects
 from ..energies.newton import minimize
 from ..energies.rest_shapes import compute_rest_shapes
 from ..energies.shape_barrier import min_height_to_base
+from ..energies.stretch_energy import Expansion, StretchEnergy
 from ..multiresolution.halfedge_decimation import CollapseBatch, decimate
 from ..multiresolution.one_rings import OneRings
 from ..multiresolution.relaxation import relax_worst_vertices
@@ -36,6 +37,9 @@ PENALTY_GROWTH = 10.0  # The penalty on a triangle grows by this factor per roun
 ACTIVATION_DISTANCE = 0.3  # The boundary barrier sets in at this fraction of the mean boundary edge length on the surface.
 SQUARE_BULGE = 0.02  # Sagitta of the sides of the initial square, where a triangle with all corners on one side would have no area.
 ROUNDS, FINAL_ROUNDS = 4, 3  # Maximum rounds of adapting penalties and weights per level, and at the end of the last level.
+# When balanced, the symmetry is this multiple of the excess of symmetric Dirichlet energy, but at most `MAX_SYMMETRY`. In any chart
+# the lower stretch then costs one or two percent of that energy.
+SYMMETRY_PER_EXCESS, MAX_SYMMETRY = 0.5, 0.25
 DENSITY_TOLERANCE, FINAL_DENSITY_TOLERANCE = 0.02, 0.05  # Differences of the logarithms of density ratios.
 
 
@@ -51,7 +55,7 @@ COARSEST = Schedule(3e-4, 30)
 INTERMEDIATE = Schedule(3e-3, 4, is_intermediate=True)
 FINAL = Schedule(1e-3, 30)
 SINGLE_LEVEL = Schedule(3e-4, 100)
-ROUGH = Schedule(1e-2, 30)  # For the coarsest level, to see where a chart is stretched.
+ROUGH = Schedule(3e-2, 15)  # Comes first on the coarsest level, to see how distorted a chart is, and where.
 AFTER_CHANGE = Schedule(1e-3, 12)  # After a change of penalties or weights.
 
 FAILURE = "Part of the mesh could not be unwrapped. Remove zero-area faces, use Merge by Distance, or set Islands to Atlas."
@@ -65,14 +69,37 @@ class Boundary(Enum):
     SQUARE = "square"
 
 
-def parameterize(chart: Chart, boundary: Boundary, min_quality: float, is_rough: bool = False) -> Steps[np.ndarray]:
+class Balance(Enum):
+    """Balance of compression and expansion in the map: little stretch without needles, symmetric Dirichlet energy, or L2 stretch alone."""
+
+    BALANCED = "balanced"
+    SYMMETRIC = "symmetric"
+    STRETCH = "stretch"
+
+
+# Of the coarsest level. When balanced, the symmetry of all others follows from the distortion of the previous level.
+EXPANSIONS = {Balance.BALANCED: Expansion(0.2, 0.01), Balance.SYMMETRIC: Expansion(1.0, 0.0), Balance.STRETCH: Expansion(0.0, 0.0)}
+
+
+def parameterize(
+    chart: Chart,
+    boundary: Boundary,
+    min_quality: float,
+    balance: Balance = Balance.BALANCED,
+    max_excess: float = np.inf,
+    is_rough: bool = False,
+) -> Steps[np.ndarray | None]:
     """Return uv (V, 2) float64 of `chart`, without flipped triangles or overlaps, at the scale of minimum energy.
+
+    None where the coarsest mesh already exceeds `max_excess`.
 
     Args:
         chart: a disk, possibly with holes.
         boundary: shape of the boundary.
         min_quality: lower limit of the height-to-base ratio of triangles, met where possible; 0 for none.
-        is_rough: stop as soon as it is clear where the chart is stretched.
+        balance: of compression and expansion.
+        max_excess: limit of the excess of symmetric Dirichlet energy.
+        is_rough: stop as soon as it is clear where the chart is stretched; the map may overlap itself.
 
     Raises:
         GeometryError: the chart has no boundary, or no valid uv was found.
@@ -81,14 +108,16 @@ def parameterize(chart: Chart, boundary: Boundary, min_quality: float, is_rough:
     surface_count = len(chart.vertices)
     chart, boundary_loop = _fill_to_disk(_normalize_area(chart))
     yield Progress(0.0, "Decimating")
-    parameterizer = _Parameterizer(chart, boundary, min_quality, boundary_loop, surface_count)
+    parameterizer = _Parameterizer(chart, boundary, min_quality, balance, boundary_loop, surface_count, may_overlap=is_rough)
     coarse, batches = yield from subprogress(
         decimate(chart.vertices, chart.triangles, COARSEST_VERTICES, parameterizer.is_fixed), 0.0, 0.05
     )
-    uv = parameterizer.initial_uv(coarse)
-    schedule = ROUGH if is_rough else COARSEST if batches else SINGLE_LEVEL
-    steps = parameterizer.optimize_level(uv, coarse, schedule, not batches)
-    uv = yield from subprogress(steps, 0.05, 0.1 if batches else 1.0)
+    uv = yield from subprogress(parameterizer.optimize_level(parameterizer.initial_uv(coarse), coarse, ROUGH, False), 0.05, 0.05)
+    if parameterizer.excess > max_excess:
+        return None
+    if not is_rough:
+        steps = parameterizer.optimize_level(uv, coarse, COARSEST if batches else SINGLE_LEVEL, not batches)
+        uv = yield from subprogress(steps, 0.05, 0.1 if batches else 1.0)
     for level, start, stop in _group_into_levels(batches, len(np.unique(coarse))):
         for batch in level:
             uv = yield from subprogress(parameterizer.refine(uv, batch), start, start)
@@ -136,10 +165,23 @@ def _normalize_area(chart: Chart) -> Chart:
 
 
 class _Parameterizer:
-    """The parts of a parameterization that all levels share. is_fixed: (V,) bool, vertices on a fixed boundary."""
+    """The parts of a parameterization that all levels share.
 
-    def __init__(self, chart: Chart, boundary: Boundary, min_quality: float, boundary_loop: np.ndarray, surface_count: int) -> None:
-        self._chart, self._boundary, self._min_quality = chart, boundary, min_quality
+    is_fixed: (V,) bool, vertices on a fixed boundary. excess: of symmetric Dirichlet energy, on the level that was optimized last.
+    """
+
+    def __init__(
+        self,
+        chart: Chart,
+        boundary: Boundary,
+        min_quality: float,
+        balance: Balance,
+        boundary_loop: np.ndarray,
+        surface_count: int,
+        may_overlap: bool,
+    ) -> None:
+        self._chart, self._boundary, self._min_quality, self._balance = chart, boundary, min_quality, balance
+        self._may_overlap, self._expansion, self.excess = may_overlap, EXPANSIONS[balance], 0.0
         self._weights = DensityWeights(chart, surface_count)
         self.is_fixed = np.zeros(len(chart.vertices), bool)
         if boundary is not Boundary.FREE:
@@ -176,11 +218,13 @@ class _Parameterizer:
         centers, links = batch.removed[is_interior], batch.links[is_interior]
         for rows in slices(len(centers), CHUNK_SIZE):
             yield Progress(0.0, "Refining")
-            rings = OneRings(uv, centers[rows], links[rows], self._chart.vertices, level.vertex_weights)
+            rings = OneRings(uv, centers[rows], links[rows], self._chart.vertices, level.vertex_weights, self._expansion.symmetry)
             uv[centers[rows]] = rings.relax(uv[centers[rows]], SPLIT_NEWTON_STEPS)
         yield Progress(0.0, "Refining")
         is_fixed = is_boundary | self.is_fixed
-        return relax_worst_vertices(uv, batch.triangles, self._chart.vertices, level.shapes, level.vertex_weights, is_fixed)
+        return relax_worst_vertices(
+            uv, batch.triangles, self._chart.vertices, level.shapes, level.vertex_weights, is_fixed, self._expansion.symmetry
+        )
 
     def _split_vertices(self, uv: np.ndarray, batch: CollapseBatch, bulge: float | None) -> Steps[np.ndarray]:
         for rows in slices(len(batch.removed), CHUNK_SIZE):
@@ -203,9 +247,10 @@ class _Parameterizer:
             shapes=shapes,
             weights=self._weights.for_triangles(triangles),
             vertex_weights=self._weights.for_vertices(),
-            boundary=boundary if (~self.is_fixed[boundary]).any() else boundary[:0],
+            boundary=boundary[:0] if self._may_overlap or self.is_fixed[boundary].all() else boundary,
             is_free=is_used & ~self.is_fixed,
             activation_distance=ACTIVATION_DISTANCE * float(np.linalg.norm(np.subtract(*vertices[boundary.T]), axis=1).mean()),
+            expansion=self._expansion,
         )
 
     def optimize_level(self, uv: np.ndarray, triangles: np.ndarray, schedule: Schedule, is_last: bool) -> Steps[np.ndarray]:
@@ -224,6 +269,9 @@ class _Parameterizer:
                 break
             level = (yield from subprogress(self._build_level(triangles), start, start)) if exponent_changed else level
             penalties, is_changed = np.where(is_poor, PENALTY_GROWTH * penalties, penalties), is_poor | exponent_changed
+        self.excess = StretchEnergy(triangles, level.shapes, level.weights, self._expansion).distortion_excess(uv)
+        if self._balance is Balance.BALANCED:
+            self._expansion = self._expansion._replace(symmetry=min(SYMMETRY_PER_EXCESS * self.excess, MAX_SYMMETRY))
         has_final_rounds = is_last and (schedule.is_intermediate or not self._is_stretch_only)
         for index in range(FINAL_ROUNDS if has_final_rounds else 0):
             start = 0.1 * ROUNDS + 0.2 * index
