@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from charts import urchin
 from farfield.addon.core.geometry.edges import find_edges
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.unwrap.cutting.boundaries import boundary_loops
@@ -123,12 +122,6 @@ def test_triangles_of_opposite_orientation_are_separated():
     triangles[[3, 7]] = triangles[[3, 7]][:, ::-1]
     cuts = cut_and_check(mesh.vertices, triangles)
     assert sorted(cut.triangle_indices.tolist() for cut in cuts if len(cut.triangle_indices) == 1) == [[3], [7]]
-
-
-def test_a_closed_surface_with_many_arms_becomes_an_atlas():
-    mesh = urchin()
-    cuts = cut_and_check(mesh.vertices, mesh.triangles)
-    assert 1 < len(cuts) < len(mesh.triangles) / 10
 
 
 def test_a_moebius_strip_is_cut():

@@ -17,6 +17,9 @@ from ..jobs.progress import Progress, Steps
 MAX_LEVELS = 24  # Maximum number of grids; the cell size halves per level, starting at the largest triangle.
 CONTACT_TOLERANCE = 1e-9  # Triangles that penetrate each other by no more than this fraction of the map's extent only touch.
 CHUNK_SIZE = 1 << 13  # Triangles per query.
+MAX_BOX_PAIRS = 1 << 20  # Bounding boxes that are compared at once.
+COMMON_CORNER = 0.25  # Distance of corners that count as one, relative to the gap between other triangles,
+CONTACT_PER_GAP = 1e-5  # and how deep triangles with a common corner may penetrate each other.
 
 
 def count_overlaps(corner_uvs: np.ndarray) -> Steps[int]:
@@ -66,14 +69,42 @@ def _candidate_pairs(corners: np.ndarray) -> Iterator[tuple[float, np.ndarray, n
                 yield level_index / len(used_levels), query[is_new], candidate[is_new]
 
 
-def _overlap(first: np.ndarray, second: np.ndarray, tolerance: float) -> np.ndarray:
-    """Return whether pairs of counter-clockwise triangles (P, 3, 2) penetrate each other by more than `tolerance`, (P,) bool."""
+def _overlap(first: np.ndarray, second: np.ndarray, tolerance: float | np.ndarray) -> np.ndarray:
+    """Return whether pairs of counter-clockwise triangles (P, 3, 2) penetrate each other by more than `tolerance`, (P, 1) or for all."""
     return ~(_is_separated(first, second, tolerance) | _is_separated(second, first, tolerance))
 
 
-def _is_separated(triangles: np.ndarray, others: np.ndarray, tolerance: float) -> np.ndarray:
+def _is_separated(triangles: np.ndarray, others: np.ndarray, tolerance: float | np.ndarray) -> np.ndarray:
     """Return whether an edge of each of `triangles` (P, 3, 2) separates it from the other triangle, (P,) bool."""
     edges = np.roll(triangles, -1, axis=1) - triangles
     lengths = np.linalg.norm(edges, axis=2)
     inward = cross(edges[:, :, None], others[:, None] - triangles[:, :, None])
     return (inward.max(axis=2) <= tolerance * lengths).any(axis=1)
+
+
+def any_overlap(first: np.ndarray, second: np.ndarray, gap: float) -> bool:
+    """Return whether a triangle of `first` (N, 3, 2) overlaps one of `second` (M, 3, 2), both counter-clockwise.
+
+    gap: distance below which triangles count as overlapping, unless they have a corner in common.
+    """
+    bounds = [(corners.min(axis=1) - 0.5 * gap, corners.max(axis=1) + 0.5 * gap) for corners in (first, second)]
+    for _ in range(2):  # Only what is inside the bounding box of the others can overlap them.
+        (first_low, first_high), (second_low, second_high) = bounds
+        if not len(first) or not len(second):
+            return False
+        is_near = [
+            ((low <= other_high.max(axis=0)) & (high >= other_low.min(axis=0))).all(axis=1)
+            for (low, high), (other_low, other_high) in (bounds, bounds[::-1])
+        ]
+        first, second = first[is_near[0]], second[is_near[1]]
+        bounds = [(low[kept], high[kept]) for (low, high), kept in zip(bounds, is_near, strict=True)]
+    (first_low, first_high), (second_low, second_high) = bounds
+    for rows in slices(len(second), max(MAX_BOX_PAIRS // max(len(first), 1), 1)):
+        meets = (first_low[:, None, 0] <= second_high[rows, 0]) & (second_low[rows, 0] <= first_high[:, None, 0])
+        meets &= (first_low[:, None, 1] <= second_high[rows, 1]) & (second_low[rows, 1] <= first_high[:, None, 1])
+        one, other = np.nonzero(meets)
+        one, other = first[one], second[rows][other]
+        has_common_corner = (np.abs(one[:, :, None] - other[:, None]).max(axis=3) <= COMMON_CORNER * gap).any(axis=(1, 2))
+        if _overlap(one, other, np.where(has_common_corner, CONTACT_PER_GAP, -1.0)[:, None] * gap).any():
+            return True
+    return False

@@ -3,7 +3,10 @@
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
+from .raster_packing import Placement, place_charts
+
 PACKING_RESOLUTION = 1024  # Texels per side of the square that xatlas packs into.
+MAX_CHARTS_AS_RASTERS = 300
 MAX_CHART_SIDE = 8 * PACKING_RESOLUTION  # Texels; the time of xatlas grows with the bounding boxes of charts, however thin they are.
 
 
@@ -12,16 +15,27 @@ def pack_charts(uvs: list[np.ndarray], triangles: list[np.ndarray], margin: floa
 
     triangles: (T, 3) of each chart. margin: margin around each chart, as a fraction of the side of the square.
     """
-    oriented = [_min_area_orientation(uv) for uv in uvs]
+    oriented = [orient(uv) for uv in uvs]
     if len(oriented) > 1:
-        oriented = _pack_with_xatlas(oriented, triangles, margin)
+        placed = place_charts(oriented, triangles, margin) if len(oriented) <= MAX_CHARTS_AS_RASTERS else None
+        oriented = (
+            _pack_with_xatlas(oriented, triangles, margin)
+            if placed is None
+            else [_move(uv, placement) for uv, placement in zip(oriented, placed[0], strict=True)]
+        )
     low = np.min([uv.min(axis=0) for uv in oriented], axis=0)
     high = np.max([uv.max(axis=0) for uv in oriented], axis=0)
     scale = (1.0 - 2.0 * margin) / float((high - low).max())
     return [margin + scale * (uv - low) for uv in oriented]
 
 
-def _min_area_orientation(uv: np.ndarray) -> np.ndarray:
+def _move(uv: np.ndarray, placement: Placement) -> np.ndarray:
+    """Return `uv` (V, 2), turned and moved to a placement."""
+    turned = uv @ np.linalg.matrix_power(np.array([[0.0, 1.0], [-1.0, 0.0]]), placement.turns)
+    return turned - turned.min(axis=0) + placement.corner
+
+
+def orient(uv: np.ndarray) -> np.ndarray:
     """Return `uv` (V, 2) rotated to the bounding box of minimum area, with the longer side along u."""
     try:
         hull = uv[ConvexHull(uv).vertices]

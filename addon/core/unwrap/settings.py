@@ -18,6 +18,7 @@ BALANCES = {
     "stretch": Choice("As in the Paper", "L2 stretch alone. Faces along concave boundaries may fill much of the texture"),
 }
 ISLANDS = {
+    "creases": Choice("Along Creases", "Cut along creases, then join islands as long as little of the texture is wasted"),
     "one": Choice("One per Part", "One UV island per connected part, cut open where necessary"),
     "atlas": Choice("Atlas", "Many UV islands with little stretch, cut along creases"),
 }
@@ -55,7 +56,7 @@ class UnwrapSettings(Settings):
     balance: str = setting(
         "balanced", "What counts as distortion: faces that are too small, or also faces that are too large in the UV map", choices=BALANCES
     )
-    islands: str = setting("one", "How the surface is divided into UV islands", choices=ISLANDS)
+    islands: str = setting("creases", "How the surface is divided into UV islands", choices=ISLANDS)
     further_cuts: bool = setting(True, "Also cut nearly closed and strongly distorted parts. When off, parts are only cut where necessary")
     boundary: str = setting("free", "Shape of the boundary of each UV island", choices=BOUNDARIES)
     margin: float = setting(

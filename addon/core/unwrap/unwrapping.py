@@ -6,22 +6,32 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import GeometryError
+from ..geometry.edges import halfedge_ends
 from ..geometry.mesh import TriangleMesh, check_points, face_areas_and_normals, has_area
 from ..geometry.transforms import signed_areas
 from ..jobs.progress import Progress, Steps, subprogress
 from .cutting.atlas_seams import find_atlas_seams
-from .cutting.chart import Chart
-from .cutting.charts import CutChart, cut_further, cut_into_charts
+from .cutting.bisection import bisect_further
+from .cutting.chart import Chart, split_into_components
+from .cutting.charts import MAX_EXCESS, CutChart, connect_triangles, cut_further, cut_into_charts
 from .cutting.cuts import POOR_EXCESS
+from .cutting.regions import divide_at_creases
 from .distortion import DistortionMetrics, Stretches, compute_stretches, measure_distortion
+from .dividing import divide_long_pieces
+from .merging import merge_islands
 from .packing import pack_charts
 from .parameterization.developable import unfold_developable
+from .parameterization.mild import flatten_mild
 from .parameterization.parameterize import Balance, Boundary, parameterize
 from .settings import UnwrapSettings
 
 CUTTING_END, PARAMETERIZATION_END, PACKING_END = 0.1, 0.9, 0.95  # Fractions of the progress bar.
 MAX_CUT_ROUNDS = 2  # In each a chart is cut towards all its most distorted parts; in the second one only where it is poor or has needles.
-MAX_EXCESS = 0.3  # Of symmetric Dirichlet energy over 4: charts with more in one piece are cut further.
+MAX_ISLAND_SIDES = 1.25, 0.8  # Limits of merged islands that are tried in turn, see `merge_islands`,
+GOOD_FILL = 0.6  # until so much of the square is used. The next one must use it better by
+MIN_FILL_GAIN = 1.08  # at least this factor.
+MAX_ISLANDS_FOR_CHOICE = 60  # More islands fit in any case.
+MAX_BISECTIONS, MAX_BISECTIONS_WHILE_POOR = 3, 8  # Then a chart is divided in halves so many times, one after the other.
 MAX_NEEDLES = 0.003  # As a fraction of a chart's map, above which it is cut further.
 MIN_CHART_AREA = 1e-7  # As a fraction of the total area.
 
@@ -65,12 +75,23 @@ def unwrap(
         seams = np.concatenate([np.reshape(seams, (-1, 2)), find_atlas_seams(mesh, polygon_ids)])
     density = settings.density_ratio**importance
     surface = Chart(mesh.vertices, mesh.triangles, density, polygon_ids)
-    charts = yield from subprogress(cut_into_charts(surface, seams, settings.further_cuts), 0.0, CUTTING_END)
+    follows_creases = _follows_creases(settings) and np.ptp(density) == 0.0
+    regions, halfedges = [], np.zeros((0, 2), np.int64)
+    if follows_creases:
+        halfedges, has_seam = yield from subprogress(connect_triangles(surface, seams), 0.0, CUTTING_END)
+        regions, charts = yield from subprogress(divide_at_creases(surface, halfedges, has_seam), 0.0, CUTTING_END)
+    else:
+        charts = yield from subprogress(cut_into_charts(surface, seams, settings.further_cuts), 0.0, CUTTING_END)
     seconds["cut"], started = time.perf_counter() - started, time.perf_counter()
     charts, uvs = yield from subprogress(_parameterize_charts(charts, settings), CUTTING_END, PARAMETERIZATION_END)
+    charts, uvs = [cut for cut, _ in regions] + charts, [uv for _, uv in regions] + uvs
     seconds["parameterize"], started = time.perf_counter() - started, time.perf_counter()
     yield Progress(PARAMETERIZATION_END, "Packing")
-    uvs = pack_charts(uvs, [cut.chart.triangles for cut in charts], settings.margin)
+    if follows_creases:
+        steps = _merge_and_pack(surface, charts, uvs, halfedges, settings.margin)
+        charts, uvs = yield from subprogress(steps, PARAMETERIZATION_END, PACKING_END)
+    else:
+        uvs = pack_charts(uvs, [cut.chart.triangles for cut in charts], settings.margin)
     corner_uvs = np.empty((len(mesh.triangles), 3, 2))
     for cut, uv in zip(charts, uvs, strict=True):
         corner_uvs[cut.triangle_indices] = uv[cut.chart.triangles]
@@ -81,6 +102,41 @@ def unwrap(
     metrics = yield from subprogress(measure_distortion(mesh, corner_uvs, stretches, importance), PACKING_END, 1.0)
     seconds["measure"] = time.perf_counter() - started
     return UnwrapResult(corner_uvs, stretches, metrics, len(charts), seconds)
+
+
+def _follows_creases(settings: UnwrapSettings) -> bool:
+    """Return whether surfaces of uniform density are divided along creases."""
+    return settings.islands == "creases" and settings.further_cuts and settings.boundary == "free"
+
+
+def _merge_and_pack(
+    surface: Chart, charts: list[CutChart], uvs: list[np.ndarray], halfedges: np.ndarray, margin: float
+) -> Steps[tuple[list[CutChart], list[np.ndarray]]]:
+    """Return charts and uvs, merged across common borders and packed: smaller ones if they fill the square better than they add seams."""
+    corner_uvs, labels = np.empty((len(surface.triangles), 3, 2)), np.empty(len(surface.triangles), np.int64)
+    for index, (cut, uv) in enumerate(zip(charts, uvs, strict=True)):
+        corner_uvs[cut.triangle_indices] = uv[cut.chart.triangles]
+        labels[cut.triangle_indices] = index
+    mesh = TriangleMesh(surface.vertices, surface.triangles)
+    labels = divide_long_pieces(mesh, surface.polygon_ids, corner_uvs, labels, halfedges)
+    lengths = np.linalg.norm(np.subtract(*mesh.vertices[halfedge_ends(mesh.triangles, halfedges[:, 0])].transpose(1, 0, 2)), axis=1)
+    best, best_fill, best_seam = None, 0.0, np.inf
+    for max_side in MAX_ISLAND_SIDES:
+        placed, is_sewn = yield from merge_islands(mesh, corner_uvs, labels, halfedges, max_side)
+        merged, merged_uvs = [], []
+        for chart, members in split_into_components(surface, halfedges[is_sewn]):
+            uv = np.stack([np.bincount(chart.triangles.ravel(), axis) for axis in placed[members].reshape(-1, 2).T], axis=1)
+            merged_uvs.append(uv / np.bincount(chart.triangles.ravel())[:, None])
+            merged.append(CutChart(chart, members, True))
+        yield Progress(1.0, "Packing")
+        packed = pack_charts(merged_uvs, [cut.chart.triangles for cut in merged], margin)
+        fill = sum(float(signed_areas(uv[cut.chart.triangles]).sum()) for cut, uv in zip(merged, packed, strict=True))
+        seam = float(lengths[~is_sewn].sum())
+        if best is None or fill > best_fill * max(MIN_FILL_GAIN, seam / best_seam):
+            best, best_fill, best_seam = (merged, packed), fill, seam
+        if fill > GOOD_FILL or len(merged) > MAX_ISLANDS_FOR_CHOICE or len(merged) == len(charts):
+            break
+    return best
 
 
 def check_surface(mesh: TriangleMesh, name: str) -> None:
@@ -109,22 +165,30 @@ def _parameterize_chart(cut: CutChart, settings: UnwrapSettings, rounds_left: in
     """Return a chart with its uv (V, 2), or the charts into which it is cut because it is strongly distorted in one piece."""
     boundary, balance = Boundary(settings.boundary), Balance(settings.balance)
     uv = (yield from subprogress(unfold_developable(cut.chart), 0.0, 0.0)) if boundary is Boundary.FREE else None
+    is_uniform = settings.min_quality == 0.0 and float(np.ptp(cut.chart.density)) == 0.0
+    if uv is None and is_uniform and cut.may_be_cut and _follows_creases(settings):
+        uv = flatten_mild(cut.chart)
     if uv is not None:
         return [(cut, uv)]
-    if boundary is not Boundary.FREE or not cut.may_be_cut or rounds_left == 0:
+    if boundary is not Boundary.FREE or not cut.may_be_cut:
         return [(cut, (yield from parameterize(cut.chart, boundary, settings.min_quality, balance)))]
-    is_first_round = rounds_left == MAX_CUT_ROUNDS
-    max_excess = MAX_EXCESS if is_first_round else POOR_EXCESS
+    max_excess = MAX_EXCESS if rounds_left == MAX_CUT_ROUNDS else POOR_EXCESS
     try:
         uv = yield from subprogress(parameterize(cut.chart, boundary, settings.min_quality, balance, max_excess), 0.0, 0.5)
     except GeometryError:
         uv = None
-    if uv is not None and (yield from subprogress(_needle_fraction(cut.chart, uv), 0.5, 0.5)) <= MAX_NEEDLES:
+    needles, excess = (1.0, np.inf) if uv is None else (yield from subprogress(_measure_chart(cut.chart, uv), 0.5, 0.5))
+    has_needles, is_limited = needles > MAX_NEEDLES, cut.max_excess < MAX_EXCESS
+    if uv is not None and (rounds_left <= -MAX_BISECTIONS or not (has_needles or (is_limited and excess > cut.max_excess))):
         return [(cut, uv)]
-    pieces = yield from subprogress(cut_further(cut, uv is None and not is_first_round), 0.5, 0.5)
-    is_uncut = len(pieces) == 1 and len(pieces[0].chart.vertices) == len(cut.chart.vertices)
-    if is_uncut and uv is not None:
-        return [(cut, uv)]
+    pieces = [cut]
+    if rounds_left > 0 and (has_needles or not is_limited):
+        pieces = yield from subprogress(cut_further(cut), 0.5, 0.5)
+    if _is_uncut(pieces, cut) and rounds_left > -MAX_BISECTIONS_WHILE_POOR:
+        pieces = yield from subprogress(bisect_further(cut, uv), 0.5, 0.5)
+        rounds_left = min(rounds_left, 1)
+    if _is_uncut(pieces, cut):
+        return [(cut, (yield from parameterize(cut.chart, boundary, settings.min_quality, balance)) if uv is None else uv)]
     maps, done = [], 0.5
     for piece in pieces:
         stop = done + 0.5 * len(piece.triangle_indices) / len(cut.triangle_indices)
@@ -134,12 +198,21 @@ def _parameterize_chart(cut: CutChart, settings: UnwrapSettings, rounds_left: in
     return maps
 
 
-def _needle_fraction(chart: Chart, uv: np.ndarray) -> Steps[float]:
-    """Return the fraction of the map `uv` (V, 2) in needles."""
-    corner_uvs = uv[chart.triangles]
-    stretches = yield from compute_stretches(TriangleMesh(chart.vertices, chart.triangles), corner_uvs)
-    areas = signed_areas(corner_uvs)
-    return float(areas[stretches.is_needle].sum() / areas.sum())
+def _is_uncut(pieces: list[CutChart], cut: CutChart) -> bool:
+    return len(pieces) == 1 and len(pieces[0].chart.vertices) == len(cut.chart.vertices)
+
+
+def _measure_chart(chart: Chart, uv: np.ndarray) -> Steps[tuple[float, float]]:
+    """Return the fraction of the map `uv` (V, 2) in needles, and the excess of its symmetric Dirichlet energy."""
+    corner_uvs, mesh = uv[chart.triangles], TriangleMesh(chart.vertices, chart.triangles)
+    stretches = yield from compute_stretches(mesh, corner_uvs)
+    areas, weights = signed_areas(corner_uvs), face_areas_and_normals(mesh.corners)[0]
+    has_area = weights > 0.0
+    weights, largest, smallest = weights[has_area], stretches.max_stretch[has_area] ** 2, stretches.min_stretch[has_area] ** 2
+    with np.errstate(divide="ignore"):
+        products = (weights @ (largest + smallest)) * (weights @ (1.0 / largest + 1.0 / smallest))
+    excess = 0.5 * float(np.sqrt(products) / weights.sum()) - 1.0
+    return float(areas[stretches.is_needle].sum() / areas.sum()), excess
 
 
 def _scale_to_density(uvs: list[np.ndarray], charts: list[Chart]) -> list[np.ndarray]:

@@ -11,20 +11,23 @@ from ...geometry.proximity import encode_pairs
 from ...jobs.progress import Progress, Steps, subprogress
 from .chart import Chart, split_into_components
 from .cuts import cut_to_disk_edges
+from .welding import pair_doubled_edges
 
-MAX_CUT_ROUNDS = 4  # Before a component is cut along the complement of a spanning tree.
+MAX_EXCESS = 0.3  # Of symmetric Dirichlet energy: charts with more in one piece are cut further.
+MAX_DISK_ROUNDS = 4  # Before a component is cut along the complement of a spanning tree.
 
 
 @dataclass(frozen=True)
 class CutChart:
     """A chart, and the indices (T,) in the surface of its triangles.
 
-    may_be_cut: whether it may be cut further, because it has no seams.
+    may_be_cut: whether it may be cut further, because it has no seams. max_excess: of symmetric Dirichlet energy, above which it is.
     """
 
     chart: Chart
     triangle_indices: np.ndarray
     may_be_cut: bool
+    max_excess: float = MAX_EXCESS
 
 
 def cut_into_charts(surface: Chart, seams: np.ndarray, further_cuts: bool = True) -> Steps[list[CutChart]]:
@@ -37,43 +40,48 @@ def cut_into_charts(surface: Chart, seams: np.ndarray, further_cuts: bool = True
         seams: (S, 2) vertices of edges that are always cut.
         further_cuts: cut nearly closed components without seams like closed ones, and let `cut_further` cut them.
     """
-    triangles, progress = surface.triangles, Progress(0.0, "Cutting")
-    edges = find_edges(triangles, len(surface.vertices))
-    yield progress
-    is_seam = np.isin(edges.keys, encode_pairs(*np.reshape(seams, (-1, 2)).T, edges.vertex_count))
-    is_connected = _consistently_oriented(triangles, edges.interior_halfedges) & ~is_seam[edges.interior]
-    has_seam = is_seam[edges.face_edges].any(axis=1)
-    yield progress
-    components = split_into_components(surface, edges.interior_halfedges[is_connected])
-    yield progress
-    total, done, charts = len(triangles), 0, []
+    halfedges, has_seam = yield from connect_triangles(surface, seams)
+    components = split_into_components(surface, halfedges)
+    yield Progress(0.0, "Cutting")
+    total, done, charts = len(surface.triangles), 0, []
     for component, members in components:
         may_be_cut = bool(further_cuts and not has_seam[members].any())
-        steps = _cut_to_disks(component, MAX_CUT_ROUNDS, may_be_cut)
+        steps = cut_to_disks(component, may_be_cut)
         disks = yield from subprogress(steps, done / total, (done + len(members)) / total)
         charts += [CutChart(disk, members[indices], may_be_cut) for disk, indices in disks]
         done += len(members)
     return sorted(charts, key=lambda cut: -len(cut.triangle_indices))
 
 
-def cut_further(cut: CutChart, is_poor: bool) -> Steps[list[CutChart]]:
-    """Return the charts of a strongly distorted chart that is cut towards its most distorted parts; only itself where that helps little.
+def connect_triangles(surface: Chart, seams: np.ndarray) -> Steps[tuple[np.ndarray, np.ndarray]]:
+    """Return the pairs (I, 2) of halfedges, 3 t + c, where the surface is an oriented manifold and has none of `seams` (S, 2), vertices of
+    edges; and which triangles (T,) bool are at a seam. Doubled vertices count as one."""
+    triangles, progress = surface.triangles, Progress(0.0, "Cutting")
+    edges = find_edges(triangles, len(surface.vertices))
+    yield progress
+    interior = edges.interior_halfedges
+    doubled = pair_doubled_edges(surface.vertices, triangles, edges)
+    yield progress
+    is_seam = np.isin(edges.keys, encode_pairs(*np.reshape(seams, (-1, 2)).T, edges.vertex_count))[edges.face_edges]
+    halfedges = np.concatenate([interior[_consistently_oriented(triangles, interior)], doubled])
+    return halfedges[~is_seam.ravel()[halfedges].any(axis=1)], is_seam.any(axis=1)
 
-    is_poor: divide it into an atlas instead of returning only itself.
-    """
-    disks = yield from _cut_to_disks(cut.chart, MAX_CUT_ROUNDS, True, True, is_poor)
-    return [CutChart(disk, cut.triangle_indices[indices], True) for disk, indices in disks]
+
+def cut_further(cut: CutChart) -> Steps[list[CutChart]]:
+    """Return the charts of a strongly distorted chart that is cut towards its most distorted parts; only itself where that helps little."""
+    disks = yield from cut_to_disks(cut.chart, True, True)
+    return [CutChart(disk, cut.triangle_indices[indices], True, cut.max_excess) for disk, indices in disks]
 
 
-def _cut_to_disks(
-    chart: Chart, rounds_left: int, further_cuts: bool, is_distorted: bool = False, is_poor: bool = False
+def cut_to_disks(
+    chart: Chart, further_cuts: bool, is_distorted: bool = False, rounds_left: int = MAX_DISK_ROUNDS
 ) -> Steps[list[tuple[Chart, np.ndarray]]]:
     """Cut a component into disks, possibly with holes; return each with the indices of its triangles."""
     edges = find_edges(chart.triangles, len(chart.vertices))
     yield Progress(0.0, "Cutting")
     halfedges = edges.interior_halfedges
     if rounds_left > 0:
-        is_cut_edge = yield from cut_to_disk_edges(chart, edges, further_cuts, is_distorted, is_poor)
+        is_cut_edge = yield from cut_to_disk_edges(chart, edges, further_cuts, is_distorted)
         is_cut = is_cut_edge[edges.interior]
     else:
         is_cut = _spanning_tree_cut(chart, halfedges)
@@ -84,7 +92,9 @@ def _cut_to_disks(
         if rounds_left == 0:
             disks.append((component, members))
         else:
-            disks += [(disk, members[indices]) for disk, indices in (yield from _cut_to_disks(component, rounds_left - 1, False))]
+            disks += [
+                (disk, members[indices]) for disk, indices in (yield from cut_to_disks(component, False, rounds_left=rounds_left - 1))
+            ]
     return disks
 
 

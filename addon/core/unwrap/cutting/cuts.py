@@ -14,13 +14,12 @@ from scipy.sparse.csgraph import dijkstra, minimum_spanning_tree
 from ...arrays import TINY
 from ...errors import GeometryError
 from ...geometry.edges import Edges, find_edges
-from ...geometry.mesh import TriangleMesh, face_areas_and_normals
+from ...geometry.mesh import face_areas_and_normals
 from ...jobs.progress import Progress, Steps, run_to_end, subprogress
 from ..energies.rest_shapes import compute_rest_shapes
 from ..energies.stretch_energy import StretchEnergy, squared_stretches
 from ..multiresolution.halfedge_decimation import decimate
 from ..parameterization.parameterize import EXPANSIONS, Balance, Boundary, parameterize
-from .atlas_seams import find_atlas_seams
 from .boundaries import boundary_loops
 from .chart import Chart, split_into_components
 
@@ -37,7 +36,7 @@ MAX_ENDPOINTS, MAX_ENDPOINTS_WHILE_POOR = 10, 12  # Maximum endpoints of cuts fr
 MIN_RELATIVE_GAIN, MIN_GAIN = 0.1, 0.02  # Further cuts must reduce the excess by so much each, relative and absolute.
 
 
-def cut_to_disk_edges(chart: Chart, edges: Edges, further_cuts: bool, is_distorted: bool, is_poor: bool) -> Steps[np.ndarray]:
+def cut_to_disk_edges(chart: Chart, edges: Edges, further_cuts: bool, is_distorted: bool) -> Steps[np.ndarray]:
     """Return which `edges` (E,) bool to cut next to turn a chart into a disk, possibly with small holes; none if it is one.
 
     Args:
@@ -45,7 +44,6 @@ def cut_to_disk_edges(chart: Chart, edges: Edges, further_cuts: bool, is_distort
         edges: of the chart.
         further_cuts: also cut nearly closed charts, charts of uneven density and distorted charts.
         is_distorted: whether the chart is strongly distorted in one piece.
-        is_poor: whether it is distorted by more than `POOR_EXCESS`; it is divided into an atlas if its proxy is not.
     """
     loops = boundary_loops(chart.triangles, chart.vertices)
     handles = 2 - len(loops) - (len(chart.vertices) - len(edges.ends) + len(chart.triangles))
@@ -62,17 +60,7 @@ def cut_to_disk_edges(chart: Chart, edges: Edges, further_cuts: bool, is_distort
         return paths.connect_loops(loops[0], [loop for loop, is_large in zip(loops[1:], is_large_hole, strict=True) if is_large])
     start = loops[0] if loops else paths.farthest_pair()[:1]
     endpoints = yield from _find_endpoints(chart, start, 0 if loops else 1)
-    needs_atlas = endpoints is None or (is_poor and not endpoints)
-    return _atlas_cut(chart, edges) if needs_atlas else paths.paths_to(start, endpoints)
-
-
-def _atlas_cut(chart: Chart, edges: Edges) -> np.ndarray:
-    """Return the `edges` (E,) bool that cut a chart into an atlas."""
-    polygon_ids = np.arange(len(chart.triangles)) if chart.polygon_ids is None else chart.polygon_ids
-    seams = find_atlas_seams(TriangleMesh(chart.vertices, chart.triangles), polygon_ids)
-    cut = np.zeros(len(edges.ends), bool)
-    cut[edges.between(*seams.T)] = True
-    return cut
+    return paths.paths_to(start, endpoints)
 
 
 def _opening_areas(chart: Chart, loops: list[np.ndarray]) -> np.ndarray:
@@ -89,7 +77,7 @@ class _ShortestPaths:
         self._chart, self._edges = chart, edges
         self._lengths = np.linalg.norm(np.subtract(*chart.vertices[edges.ends.T]), axis=1)
         self._lengths = np.maximum(self._lengths, 1e-6 * self._lengths.mean() or 1.0)
-        self._costs = self._lengths * _cut_cost(chart, edges)
+        self._costs = self._lengths * cut_cost(chart, edges)
 
     def paths_to(self, start: np.ndarray, endpoints: Sequence[int]) -> np.ndarray:
         """Return paths from the vertices `start` (S,) to each of `endpoints` in order; a path may branch off from earlier ones."""
@@ -206,7 +194,7 @@ class _ShortestPaths:
         return csr_array((costs, tuple(self._edges.ends.T)), shape=(len(self._chart.vertices),) * 2)
 
 
-def _cut_cost(chart: Chart, edges: Edges) -> np.ndarray:
+def cut_cost(chart: Chart, edges: Edges) -> np.ndarray:
     """Return the cost per length (E,) of cutting each edge: lower on creases and where the density is low."""
     _, normals = face_areas_and_normals(chart.vertices[chart.triangles])
     interior, (first, second) = edges.interior, edges.interior_halfedges.T // 3
@@ -218,12 +206,12 @@ def _cut_cost(chart: Chart, edges: Edges) -> np.ndarray:
     return costs
 
 
-def _find_endpoints(chart: Chart, start: np.ndarray, required: int) -> Steps[list[int] | None]:
+def _find_endpoints(chart: Chart, start: np.ndarray, required: int) -> Steps[list[int]]:
     """Return the vertices that cuts from the vertices `start` (S,) should lead to.
 
     The first is the farthest vertex, if `required` is 1 because the chart is closed. The next ones are where a decimated proxy is most
-    stretched and far from the cut, as long as this reduces stretch enough. None if no cut leads to a good parameterization in one piece,
-    such as for a tree with many branches.
+    stretched and far from the cut, as long as this reduces stretch enough. There are none if no cut leads to a good parameterization in one
+    piece, such as for a tree with many branches.
     """
     is_kept = np.zeros(len(chart.vertices), bool)
     is_kept[start] = True
@@ -246,7 +234,7 @@ def _find_endpoints(chart: Chart, start: np.ndarray, required: int) -> Steps[lis
             distances = paths.distances(np.union1d(start, edges.ends[cut]))
             endpoints.append(int(((np.sqrt(stretch) if best < POOR_EXCESS else 1.0) * distances).argmax()))
             cut = paths.extend(cut, start, endpoints[-1])
-    return used[endpoints[:useful_count]].tolist() if best < POOR_EXCESS else None
+    return used[endpoints[: useful_count if best < POOR_EXCESS else required]].tolist()
 
 
 def _stretch_after_cut(proxy: Chart, edges: Edges, cut: np.ndarray) -> tuple[float, np.ndarray]:

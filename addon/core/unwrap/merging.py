@@ -1,0 +1,213 @@
+"""Merges flat pieces of a surface to larger UV islands across their longest common borders, without changing their shapes.
+
+A box becomes a strip or a cross, and the faces of a bracket stay next to each other. Pieces are only turned and moved, and an island is
+never allowed to overlap itself, or to become so long or so ragged that it wastes the texture.
+"""
+
+import heapq
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from ..arrays import TINY
+from ..geometry.mesh import TriangleMesh, face_areas_and_normals
+from ..geometry.transforms import cross
+from ..jobs.progress import Progress, Steps
+from .cutting.creases import fold_angles
+from .dividing import MAX_LENGTH, MAX_THINNESS, square_side
+from .overlaps import any_overlap
+
+MAX_MISMATCH = 0.02  # Distance of two ends that are sewn together, relative to their edge.
+MAX_PLACEMENTS = 3  # Placements that are tried per pair of islands, those with the longest common border first.
+MIN_SEWN = 0.12  # Common border relative to the square root of the smaller island's area; a piece that hangs on less is kept apart.
+GAP = 2e-3  # Distance of parts of an island that are not sewn, relative to the side of a square with the area of the surface.
+FOLD_PREFERENCE, CONCAVE_PREFERENCE = 0.3, 0.05  # How much longer a border counts that is flat, and one that is convex.
+MAX_BOX_GROWTH = (
+    1.25  # Of a merged island's bounding box over those of the two islands that it consists of. Shorter islands than `SMALL_SIDE`
+)
+MAX_SMALL_BOX_GROWTH, SMALL_SIDE = 1.7, 0.4  # may grow more.
+PAIRS_PER_YIELD = 32
+
+
+@dataclass
+class _Island:
+    """Triangles that are sewn together; `borders`: indices of the links to each other island; `hull`: (H, 2) positions around it."""
+
+    triangles: np.ndarray
+    area: float
+    hull: np.ndarray
+    borders: dict[int, list[int]] = field(default_factory=dict)
+
+
+def merge_islands(
+    mesh: TriangleMesh, corner_uvs: np.ndarray, labels: np.ndarray, halfedges: np.ndarray, max_side: float
+) -> Steps[tuple[np.ndarray, np.ndarray]]:
+    """Return the corner UVs (T, 3, 2) of pieces that are moved next to each other, and the pairs of halfedges that are sewn, (I,) bool.
+
+    Args:
+        mesh: T triangles.
+        corner_uvs: (T, 3, 2) at the scale of the surface.
+        labels: (T,) the piece of each triangle.
+        halfedges: (I, 2), 3 t + c, pairs across which triangles may be connected.
+        max_side: of a merged island, relative to the side of a square with the area of the bounding boxes of all pieces.
+    """
+    merging = _Merging(mesh, corner_uvs.copy(), labels, halfedges, max_side)
+    yield from merging.run()
+    return merging.corner_uvs, merging.sewn()
+
+
+class _Merging:
+    """The state of a merge: corner UVs, islands, and a heap of pairs of islands by the length of their common border."""
+
+    def __init__(self, mesh: TriangleMesh, corner_uvs: np.ndarray, labels: np.ndarray, halfedges: np.ndarray, max_side: float) -> None:
+        self.corner_uvs, self._labels = corner_uvs, labels.astype(np.int64)
+        faces, corners = halfedges // 3, halfedges % 3
+        # The first halfedge runs from start to end, the second one from end to start.
+        self._starts = faces, np.stack([(corners[:, 0] + 1) % 3, (corners[:, 1] + 2) % 3], axis=1)
+        self._ends = faces, np.stack([(corners[:, 0] + 2) % 3, (corners[:, 1] + 1) % 3], axis=1)
+        first, second = mesh.vertices[mesh.triangles[self._starts]], mesh.vertices[mesh.triangles[self._ends]]
+        self._lengths = np.linalg.norm(second[:, 0] - first[:, 0], axis=1)
+        self._weights = self._lengths * _preferences(mesh, halfedges)
+        areas, _ = face_areas_and_normals(mesh.corners)
+        self._side = square_side(corner_uvs, labels)
+        self._max_side = max_side * self._side
+        self._is_blocked = np.zeros(len(halfedges), bool)
+        self._islands: dict[int, _Island] = {}
+        order = np.argsort(self._labels, kind="stable")
+        for members in np.split(order, np.cumsum(np.bincount(self._labels))[:-1]):
+            island = _Island(members, float(areas[members].sum()), _hull(corner_uvs[members].reshape(-1, 2)))
+            self._islands[int(self._labels[members[0]])] = island
+        for link, (a, b) in enumerate(self._labels[faces].tolist()):
+            if a != b:
+                self._islands[a].borders.setdefault(b, []).append(link)
+                self._islands[b].borders.setdefault(a, []).append(link)
+        self._heap: list[tuple[float, float, int, int, int, int]] = []
+        for a, island in self._islands.items():
+            for b in island.borders:
+                if a < b:
+                    self._push(a, b)
+
+    def run(self) -> Steps[None]:
+        """Merge islands until none fits to another one."""
+        count, total = 0, len(self._islands)
+        while self._heap:
+            _, _, a, b, first_size, second_size = heapq.heappop(self._heap)
+            if count % PAIRS_PER_YIELD == 0:
+                yield Progress(1.0 - len(self._islands) / total, "Merging UV islands")
+            count += 1
+            first, second = self._islands.get(a), self._islands.get(b)
+            is_current = first is not None and second is not None
+            if is_current and (len(first.triangles), len(second.triangles)) == (first_size, second_size):
+                self._try_to_merge(a, b)
+
+    def sewn(self) -> np.ndarray:
+        """Return at which links both sides meet in the map, (I,) bool."""
+        starts, ends = self.corner_uvs[self._starts], self.corner_uvs[self._ends]
+        distances = np.maximum(np.linalg.norm(starts[:, 0] - starts[:, 1], axis=1), np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
+        labels = self._labels[self._starts[0]]
+        return (labels[:, 0] == labels[:, 1]) & (distances <= MAX_MISMATCH * self._lengths)
+
+    def _push(self, a: int, b: int) -> None:
+        """Add the pair of islands to the heap, with the length of their border as far as it can be sewn."""
+        links = self._islands[a].borders[b]
+        first, second = self._islands[a], self._islands[b]
+        length = float(self._weights[links].sum())
+        if length >= MIN_SEWN * np.sqrt(min(first.area, second.area)):
+            area = first.area + second.area  # Of equal borders, the one of the larger island comes first: it grows to a strip.
+            heapq.heappush(self._heap, (-round(length / self._side, 6), -area, a, b, len(first.triangles), len(second.triangles)))
+
+    def _try_to_merge(self, a: int, b: int) -> None:
+        """Place the smaller of two islands next to the other one if it fits there."""
+        if len(self._islands[a].triangles) < len(self._islands[b].triangles):
+            a, b = b, a
+        fixed, moved = self._islands[a], self._islands[b]
+        links = np.array(fixed.borders[b])
+        for rotation, translation, length, placing_links in self._placements(a, links[~self._is_blocked[links]]):
+            if length < MIN_SEWN * np.sqrt(min(fixed.area, moved.area)):
+                break
+            hull = moved.hull @ rotation.T + translation
+            if not self._is_compact(fixed, moved, hull):
+                continue
+            uvs = self.corner_uvs[moved.triangles] @ rotation.T + translation
+            if any_overlap(self.corner_uvs[fixed.triangles], uvs, GAP * self._side):
+                self._is_blocked[placing_links] = True  # Islands only grow, so they will never fit there.
+                continue
+            self.corner_uvs[moved.triangles] = uvs
+            self._join(a, b, hull)
+            return
+
+    def _placements(self, a: int, links: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, float, np.ndarray]]:
+        """Return rotation (2, 2), translation (2,), length of the sewn border and sewn links of the best placements at island `a`."""
+        faces = self._starts[0][links]
+        sides = np.where((self._labels[faces[:, 0]] == a)[:, None], [0, 1], [1, 0])
+        rows = np.arange(len(links))[:, None]
+        starts, ends = (self.corner_uvs[at][links][rows, sides] for at in (self._starts, self._ends))
+        vectors, lengths = ends - starts, self._lengths[links]
+        angles = np.arctan2(cross(vectors[:, 1], vectors[:, 0]), np.einsum("li,li->l", vectors[:, 1], vectors[:, 0]))
+        placements, is_left = [], np.ones(len(links), bool)
+        while is_left.any() and len(placements) < MAX_PLACEMENTS:
+            longest = int(np.argmax(np.where(is_left, lengths, -1.0)))
+            cosine, sine = np.cos(angles[longest]), np.sin(angles[longest])
+            rotation = np.array([[cosine, -sine], [sine, cosine]])
+            translation = 0.5 * (starts[longest, 0] + ends[longest, 0] - (starts[longest, 1] + ends[longest, 1]) @ rotation.T)
+            distances = np.maximum(*(np.linalg.norm(at[:, 1] @ rotation.T + translation - at[:, 0], axis=1) for at in (starts, ends)))
+            is_sewn = distances <= MAX_MISMATCH * lengths
+            is_sewn[longest] = True
+            placements.append((rotation, translation, float(lengths[is_sewn].sum()), links[is_sewn]))
+            is_left &= ~is_sewn
+        return sorted(placements, key=lambda placement: -placement[2])
+
+    def _is_compact(self, fixed: _Island, moved: _Island, hull: np.ndarray) -> bool:
+        """Return whether two islands, the second one moved to `hull` (H, 2), together waste little of the texture."""
+        sides = _box_sides(_hull(np.concatenate([fixed.hull, hull])))
+        parts = np.stack([_box_sides(island.hull) for island in (fixed, moved)])
+        is_thin = fixed.area + moved.area < MAX_THINNESS * sides.max() ** 2
+        max_side = min(MAX_LENGTH * self._side, self._max_side) if is_thin else self._max_side
+        if sides.max() > max(max_side, parts.max()):
+            return False
+        max_growth = MAX_BOX_GROWTH if sides.max() > SMALL_SIDE * self._side else MAX_SMALL_BOX_GROWTH
+        return bool(sides.prod() <= max_growth * parts.prod(axis=1).sum())
+
+    def _join(self, a: int, b: int, hull: np.ndarray) -> None:
+        """Add the island `b`, which has been moved to `hull` (H, 2), to the island `a`."""
+        fixed, moved = self._islands[a], self._islands.pop(b)
+        self._labels[moved.triangles] = a
+        fixed.triangles = np.concatenate([fixed.triangles, moved.triangles])
+        fixed.area += moved.area
+        fixed.hull = _hull(np.concatenate([fixed.hull, hull]))
+        del fixed.borders[b]
+        for other, links in moved.borders.items():
+            if other != a:
+                self._islands[other].borders.pop(b)
+                fixed.borders.setdefault(other, []).extend(links)
+                self._islands[other].borders[a] = fixed.borders[other]
+        for other in fixed.borders:
+            self._push(min(a, other), max(a, other))
+
+
+def _preferences(mesh: TriangleMesh, halfedges: np.ndarray) -> np.ndarray:
+    """Return factors (I,) of the lengths of borders: larger where the surface is flat, smaller where it is concave."""
+    folds = fold_angles(mesh.vertices, mesh.triangles, halfedges)
+    _, normals = face_areas_and_normals(mesh.corners)
+    faces = halfedges // 3
+    apexes = mesh.vertices[mesh.triangles[faces[:, 1], halfedges[:, 1] % 3]]
+    origins = mesh.vertices[mesh.triangles[faces[:, 0], (halfedges[:, 0] + 1) % 3]]
+    is_concave = np.einsum("li,li->l", apexes - origins, normals[faces[:, 0]]) > 0.0
+    return 1.0 + FOLD_PREFERENCE * np.cos(folds) - CONCAVE_PREFERENCE * is_concave
+
+
+def _hull(points: np.ndarray) -> np.ndarray:
+    """Return the corners (H, 2) of the convex hull of `points` (N, 2)."""
+    try:
+        return points[ConvexHull(points).vertices]
+    except QhullError:  # All on a line.
+        return points[[points[:, 0].argmin(), points[:, 0].argmax(), points[:, 1].argmin(), points[:, 1].argmax()]]
+
+
+def _box_sides(hull: np.ndarray) -> np.ndarray:
+    """Return the sides (2,) of the bounding box of minimum area around `hull` (H, 2)."""
+    edges = np.roll(hull, -1, axis=0) - hull
+    edges = edges / np.maximum(np.linalg.norm(edges, axis=1, keepdims=True), TINY)
+    extents = np.stack([np.ptp(hull @ edges.T, axis=0), np.ptp(hull @ (edges[:, ::-1] * [-1.0, 1.0]).T, axis=0)], axis=1)
+    return extents[int(extents.prod(axis=1).argmin())]
