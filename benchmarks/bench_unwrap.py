@@ -1,6 +1,7 @@
 """Compares UV maps of Farfield, of Blender's Minimum Stretch, SLIM and xatlas in one process: `python3 benchmarks/bench_unwrap.py [flags]`.
 
 Prints JSON. Parts (`--only`): `disks` (disks in one piece, compared with SLIM and Blender), `defaults` (all meshes with default settings),
+`hard_surfaces` (solids, machine parts and ordinary files, compared with xatlas and Smart UV Project),
 `quality_limit` (cost of a minimum triangle quality), `importance` (density ratio, and stretch of the important part), `growth` (time by
 number of triangles), `million` (time, memory, and the longest time between two progress reports).
 """
@@ -23,15 +24,27 @@ import benchmark_cli
 import bpy
 import numpy as np
 import unwrap_models
-from unwrap_peers import measure_blender, measure_slim, measure_xatlas, summarize
+import unwrap_solids
+from unwrap_peers import (
+    compute_metrics,
+    compute_seam_length,
+    measure_blender,
+    measure_slim,
+    measure_xatlas,
+    summarize,
+    unwrap_with_smart_project,
+    unwrap_with_xatlas,
+)
 
 from farfield.addon.bridge.unwrap import uv_maps
-from farfield.addon.core.geometry.mesh import TriangleMesh, face_areas_and_normals
+from farfield.addon.core.geometry.mesh import TriangleMesh, face_areas_and_normals, longest_side
+from farfield.addon.core.imaging.raster import fill_triangles
 from farfield.addon.core.jobs.progress import Steps
 from farfield.addon.core.unwrap import importance
 from farfield.addon.core.unwrap.settings import BALANCES, UnwrapSettings
-from farfield.addon.core.unwrap.unwrapping import UnwrapResult, unwrap
+from farfield.addon.core.unwrap.unwrapping import PACKING_END, UnwrapResult, unwrap
 from lib import command_line, scene_files
+from lib.contact_sheet import write_png
 
 DISKS = ("optcuts_face", "bff_cowhead", "bff_face", "sceaux_15k", *unwrap_models.MODELS)
 FILES = {
@@ -46,6 +59,19 @@ FILES = {
     **{f"hard_{Path(name).stem}": f"hard_surface/{name}" for name in ("fandisk.obj", "capsule.obj", "fuze.obj", "idler_riser.STL")},
     "hard_featuretype": "hard_surface/featuretype.STL",
 }
+HARD_FILES = {
+    **{f"hard_{Path(name).stem}": f"hard_surface/{name}" for name in ("fandisk.obj", "capsule.obj", "fuze.obj", "chair_model.obj")},
+    **{f"hard_{name}": f"hard_surface/{name}.STL" for name in ("1002_tray_bottom", "ADIS16480", "featuretype", "idler_riser")},
+    "hard_cycloidal": "hard_surface/cycloidal.ply",
+    "hard_CesiumMilkTruck": "hard_surface/CesiumMilkTruck.glb",
+    **{f"ordinary_{name}": f"ordinary/{name}.glb" for name in ("alpha_blend_mode_test", "fox", "two_cylinder_engine")},
+    **{f"ordinary_{name}": f"ordinary/animals/{name}.gltf" for name in ("Bunny", "Stag")},
+    **{f"ordinary_{name}": f"ordinary/{name}/{name}.gltf" for name in ("castle", "chopper")},
+    "ordinary_knight": "ordinary/knight/knight_size_test.glb",
+    "ordinary_pumpkin_knight": "ordinary/pumpkin_knight/scene.gltf",
+    "ordinary_sheen_chair": "ordinary/sheen_chair/MixedLightingExample.gltf",
+}
+MAP_SIDE = 512  # Pixels of a drawn map.
 HEAD_DIRECTIONS = {"max_planck": (0.0, 0.0, 1.0), "bff_face": (0.0, -0.36, 0.93), "optcuts_face": (0.0, -1.0, 0.0)}
 ONE_PIECE = {"further_cuts": False}
 QUALITY_LIMITS = (0.05, 0.1, 0.15)
@@ -59,6 +85,7 @@ def build_parser() -> command_line.Parser:
         "--models", nargs="+", choices=[*FILES, *unwrap_models.MODELS], default=[*FILES, *unwrap_models.MODELS], help="meshes"
     )
     parser.add_argument("--data", type=Path, default=environment.ROOT.parent / "shared" / "data", help="the folder of the meshes")
+    parser.add_argument("--maps", type=Path, help="a folder for pictures of the maps of hard surfaces")
     parser.add_argument("--repeats", type=int, default=1, help="runs of each, of which the fastest counts")
     return parser
 
@@ -106,6 +133,45 @@ def measure_defaults(given: Namespace) -> dict[str, Any]:
         }
         print(name, json.dumps(results[name]), file=sys.stderr)
     return results
+
+
+def measure_hard_surfaces(given: Namespace) -> dict[str, Any]:
+    """Measure solids and the largest meshes of machine parts and ordinary files with default settings, xatlas and Smart UV Project."""
+    results = {}
+    if given.maps is not None:
+        given.maps.mkdir(parents=True, exist_ok=True)
+    for name in [*unwrap_solids.SOLIDS, *(name for name in HARD_FILES if (given.data / HARD_FILES[name]).exists())]:
+        item, target = open_model(given.data, name)
+        settings, uniform = UnwrapSettings(), np.zeros(len(target.mesh.triangles))
+        unwrapped, seconds = min((run_timed(target, uniform, settings) for _ in range(given.repeats)), key=lambda run: run[1])
+        maps = {"farfield": (unwrapped.corner_uvs, seconds)}
+        unit = TriangleMesh(target.mesh.vertices * (10.0 / longest_side(target.mesh.vertices)), target.mesh.triangles)
+        started = time.process_time()
+        maps["xatlas"] = unwrap_with_xatlas(unit, settings.margin)[0], time.process_time() - started
+        started = time.process_time()
+        maps["smart_project"] = unwrap_with_smart_project(item, target.loops, settings.margin), time.process_time() - started
+        figures = {method: summarize(compute_metrics(unit, uvs), seconds) for method, (uvs, seconds) in maps.items()}
+        for method, (uvs, _) in maps.items():
+            figures[method]["seam"] = round(compute_seam_length(unit, uvs), 3)
+            if given.maps is not None:
+                normals = face_areas_and_normals(unit.corners)[1]
+                write_png(given.maps / f"{name} {method}.png", draw_normals(uvs, normals))
+        farfield, peers = figures["farfield"], [figures["xatlas"], figures["smart_project"]]
+        results[name] = {
+            "triangles": len(uniform),
+            "islands": unwrapped.chart_count,
+            "seam_over_best": round(farfield["seam"] / max(min(peer["seam"] for peer in peers), 1e-9), 3),
+            "fill_over_best": round(farfield["fill"] / max(peer["fill"] for peer in peers), 3),
+            **figures,
+        }
+        print(name, json.dumps(results[name]), file=sys.stderr)
+    return results
+
+
+def draw_normals(corner_uvs: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Return an image (MAP_SIDE, MAP_SIDE, 3) of a UV map, colored by the `normals` (T, 3) of its triangles."""
+    colors = (0.55 + 0.4 * normals).astype(np.float32)
+    return fill_triangles(corner_uvs * MAP_SIDE, colors, (MAP_SIDE, MAP_SIDE), 0.1)
 
 
 def measure_quality_limit(given: Namespace) -> dict[str, Any]:
@@ -188,6 +254,7 @@ NO_SEAMS = np.zeros((0, 2), int)
 PARTS = {
     "disks": measure_disks,
     "defaults": measure_defaults,
+    "hard_surfaces": measure_hard_surfaces,
     "quality_limit": measure_quality_limit,
     "importance": measure_importance,
     "growth": measure_growth,
@@ -197,14 +264,16 @@ PARTS = {
 
 def open_model(data: Path, name: str) -> tuple[bpy.types.Object, uv_maps.UvTarget]:
     """Open a file, or build a model, and return its largest mesh."""
-    if name in unwrap_models.MODELS:
-        model = unwrap_models.build_model(name)
+    if name in unwrap_models.MODELS or name in unwrap_solids.SOLIDS:
+        model = unwrap_solids.SOLIDS[name]() if name in unwrap_solids.SOLIDS else unwrap_models.build_model(name)
         mesh = bpy.data.meshes.new(name)
         mesh.from_pydata(model.vertices, [], model.triangles.tolist())
-        bpy.context.scene.collection.objects.link(bpy.data.objects.new(name, mesh))
+        item = bpy.data.objects.new(name, mesh)
+        bpy.context.scene.collection.objects.link(item)
         bpy.context.view_layer.update()
+        return item, uv_maps.read_uv_target(item, None)
     else:
-        scene_files.open_scene((data / FILES[name]).absolute())
+        scene_files.open_scene((data / {**FILES, **HARD_FILES}[name]).absolute())
     meshes = (item for item in bpy.context.scene.objects if item.type == "MESH")
     largest = max(meshes, key=lambda item: len(item.data.polygons))
     return largest, uv_maps.read_uv_target(largest, None)
@@ -228,7 +297,7 @@ def time_steps(steps: Steps[UnwrapResult]) -> tuple[UnwrapResult, float]:
             step = next(steps)
         except StopIteration as finished:
             return finished.value, seconds
-        if not seconds and step.label == "Measuring":
+        if not seconds and step.label == "Measuring" and step.fraction >= PACKING_END:
             seconds = time.process_time() - started
 
 

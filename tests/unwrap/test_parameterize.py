@@ -18,7 +18,7 @@ from farfield.addon.core.unwrap.energies.stretch_energy import compute_jacobians
 from farfield.addon.core.unwrap.multiresolution.halfedge_decimation import decimate
 from farfield.addon.core.unwrap.multiresolution.vertex_splits import split_vertices
 from farfield.addon.core.unwrap.parameterization.density_control import compute_density_ratio
-from farfield.addon.core.unwrap.parameterization.parameterize import Balance, Boundary, parameterize
+from farfield.addon.core.unwrap.parameterization.parameterize import Balance, Boundary, DistortionError, parameterize
 from farfield.addon.core.unwrap.parameterization.tutte import circle_outline, square_outline, tutte_embedding
 from shapes import cylinder, random_rotation, sheet, sphere
 
@@ -68,8 +68,10 @@ def test_the_balance_decides_between_stretch_needles_and_even_sizes():
 
 def test_nothing_is_returned_where_a_chart_is_too_distorted():
     chart = chart_of(dome(24, 0.9))
-    assert run_to_end(parameterize(chart, Boundary.FREE, 0.0, max_excess=0.05)) is None
-    assert run_to_end(parameterize(chart_of(dome(24, 0.3)), Boundary.FREE, 0.0, max_excess=0.05)) is not None
+    with pytest.raises(DistortionError) as caught:
+        run_to_end(parameterize(chart, Boundary.FREE, 0.0, max_excess=0.05))
+    assert caught.value.excess > 0.05
+    run_to_end(parameterize(chart_of(dome(24, 0.3)), Boundary.FREE, 0.0, max_excess=0.05))
 
 
 def test_stretch_does_not_depend_on_size_and_placement_of_the_surface():

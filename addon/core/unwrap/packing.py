@@ -6,7 +6,7 @@ from scipy.spatial import ConvexHull, QhullError
 from .raster_packing import Placement, place_charts
 
 PACKING_RESOLUTION = 1024  # Texels per side of the square that xatlas packs into.
-MAX_CHARTS_AS_RASTERS = 300
+MAX_CHARTS_AS_RASTERS = 1000
 MAX_CHART_SIDE = 8 * PACKING_RESOLUTION  # Texels; the time of xatlas grows with the bounding boxes of charts, however thin they are.
 
 

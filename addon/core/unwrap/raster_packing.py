@@ -12,8 +12,8 @@ from ..geometry.transforms import signed_areas
 from ..imaging.raster import rasterize
 from .cutting.boundaries import boundary_edges
 
-GRID_SIDE = 360  # Texels per side of what charts are placed in; the packed square is smaller.
-EXPECTED_FILLS = 0.6, 0.4, 0.2  # Fractions of the grid that charts cover; the next is tried where they find no place.
+GRID_SIDE = 320  # Texels per side of what charts are placed in; the packed square is smaller.
+EXPECTED_FILLS = 0.6, 0.4, 0.25, 0.15, 0.08  # Fractions of the grid that charts cover; the next is tried where they find no place.
 MAX_RASTER_FILL = 0.75  # Fraction of the grid above which the rasters hardly ever fit.
 MAX_CHARTS_IN_ALL_ORDERS = 24  # Charts are placed by decreasing bounding box, and up to this number also by length and by area.
 SAMPLES_PER_TEXEL = 2.0  # Along boundary edges.
@@ -40,9 +40,10 @@ def place_charts(uvs: list[np.ndarray], triangles: list[np.ndarray], margin: flo
     distance, packings = int(np.ceil(margin * 0.8 * GRID_SIDE - 0.25)), []
     for fill in EXPECTED_FILLS:
         texel = max(float(np.sqrt(area / fill)) / GRID_SIDE, float(extents.max()) / (0.9 * GRID_SIDE))
-        rasters = [_rasterize((uv - uv.min(axis=0)) / texel, faces, distance) for uv, faces in zip(uvs, triangles, strict=True)]
-        if sum(int(raster.sum()) for raster in rasters) > MAX_RASTER_FILL * GRID_SIDE**2:
+        texels = area / texel**2 + (1 + 2 * distance) * float(extents.sum()) / texel  # Covered ones and those at boundaries, approximately.
+        if texels > MAX_RASTER_FILL * GRID_SIDE**2:
             continue
+        rasters = [_rasterize((uv - uv.min(axis=0)) / texel, faces, distance) for uv, faces in zip(uvs, triangles, strict=True)]
         shapes = np.array([raster.shape for raster in rasters])
         sizes = shapes.prod(axis=1), shapes.max(axis=1), np.array([raster.sum() for raster in rasters])
         for size in sizes[: 1 if len(uvs) > MAX_CHARTS_IN_ALL_ORDERS else 3]:

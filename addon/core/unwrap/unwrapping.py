@@ -22,16 +22,17 @@ from .merging import merge_islands
 from .packing import pack_charts
 from .parameterization.developable import unfold_developable
 from .parameterization.mild import flatten_mild
-from .parameterization.parameterize import Balance, Boundary, parameterize
+from .parameterization.parameterize import Balance, Boundary, DistortionError, parameterize
 from .settings import UnwrapSettings
 
 CUTTING_END, PARAMETERIZATION_END, PACKING_END = 0.1, 0.9, 0.95  # Fractions of the progress bar.
 MAX_CUT_ROUNDS = 2  # In each a chart is cut towards all its most distorted parts; in the second one only where it is poor or has needles.
-MAX_ISLAND_SIDES = 1.25, 0.8  # Limits of merged islands that are tried in turn, see `merge_islands`,
+MAX_ISLAND_SIDES = 1.25, 0.9, 0.65  # Limits of merged islands that are tried in turn, see `merge_islands`,
 GOOD_FILL = 0.6  # until so much of the square is used. The next one must use it better by
 MIN_FILL_GAIN = 1.08  # at least this factor.
-MAX_ISLANDS_FOR_CHOICE = 60  # More islands fit in any case.
+MAX_ISLANDS_FOR_CHOICE = 40  # More islands fit in any case.
 MAX_BISECTIONS, MAX_BISECTIONS_WHILE_POOR = 3, 8  # Then a chart is divided in halves so many times, one after the other.
+COARSE_EXCESS = 1.1  # A chart is divided at once if its coarsest mesh has an excess so many times the limit.
 MAX_NEEDLES = 0.003  # As a fraction of a chart's map, above which it is cut further.
 MIN_CHART_AREA = 1e-7  # As a fraction of the total area.
 
@@ -172,17 +173,22 @@ def _parameterize_chart(cut: CutChart, settings: UnwrapSettings, rounds_left: in
         return [(cut, uv)]
     if boundary is not Boundary.FREE or not cut.may_be_cut:
         return [(cut, (yield from parameterize(cut.chart, boundary, settings.min_quality, balance)))]
-    max_excess = MAX_EXCESS if rounds_left == MAX_CUT_ROUNDS else POOR_EXCESS
+    is_limited, is_last = cut.max_excess < MAX_EXCESS, rounds_left <= -MAX_BISECTIONS
+    max_cut_excess = MAX_EXCESS if rounds_left == MAX_CUT_ROUNDS else POOR_EXCESS
+    max_excess = COARSE_EXCESS * cut.max_excess if is_limited and not is_last else max_cut_excess
+    uv, needles, excess = None, 0.0, np.inf
     try:
         uv = yield from subprogress(parameterize(cut.chart, boundary, settings.min_quality, balance, max_excess), 0.0, 0.5)
+        needles, excess = yield from subprogress(_measure_chart(cut.chart, uv), 0.5, 0.5)
+    except DistortionError as error:
+        excess = error.excess
     except GeometryError:
-        uv = None
-    needles, excess = (1.0, np.inf) if uv is None else (yield from subprogress(_measure_chart(cut.chart, uv), 0.5, 0.5))
-    has_needles, is_limited = needles > MAX_NEEDLES, cut.max_excess < MAX_EXCESS
-    if uv is not None and (rounds_left <= -MAX_BISECTIONS or not (has_needles or (is_limited and excess > cut.max_excess))):
+        pass
+    has_needles = needles > MAX_NEEDLES
+    if uv is not None and (is_last or not (has_needles or (is_limited and excess > cut.max_excess))):
         return [(cut, uv)]
     pieces = [cut]
-    if rounds_left > 0 and (has_needles or not is_limited):
+    if rounds_left > 0 and (has_needles or excess > max_cut_excess):
         pieces = yield from subprogress(cut_further(cut), 0.5, 0.5)
     if _is_uncut(pieces, cut) and rounds_left > -MAX_BISECTIONS_WHILE_POOR:
         pieces = yield from subprogress(bisect_further(cut, uv), 0.5, 0.5)

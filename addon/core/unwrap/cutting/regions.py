@@ -16,13 +16,15 @@ from .boundaries import boundary_edges
 from .chart import Chart, split_into_components
 from .charts import MAX_EXCESS, CutChart, cut_to_disks
 from .creases import find_creases
-from .cuts import MAX_CLOSED_OPENING
 
 FLAT_COSINE = np.cos(np.radians(10.0))  # Between the normals of the triangles of a flat region and their mean.
 MAX_BEVEL_AREA = 0.25  # Of a bevel, as a fraction of its flat region.
 MIN_BEVEL_COSINE = 0.6  # Between normals of a bevel and the mean normal of its flat region.
 MAX_FLAT_EXCESS = 0.02  # Of symmetric Dirichlet energy of a projected region, with its bevels.
-MAX_PART_EXCESS = 0.025  # The same of other regions of closed or creased surfaces, which get seams in any case.
+MAX_CREASED_EXCESS = 0.025  # The same of other regions of creased surfaces, which get seams in any case.
+MIN_CREASE_LENGTH = (
+    0.5  # Of the borders of regions, relative to the square root of the area; smooth surfaces are not divided at fewer creases.
+)
 MIN_LIMITED_AREA = 0.003  # Regions with a smaller fraction of the area hardly matter; `MAX_EXCESS` applies to them.
 
 
@@ -44,12 +46,14 @@ def divide_at_creases(
     yield Progress(0.0, "Finding creases")
     regions = _absorb_bevels(surface, halfedges, creases)
     yield Progress(0.0, "Finding creases")
-    areas = face_areas_and_normals(vertices[triangles])[0]
-    is_limited = _is_closed(surface, halfedges, component, areas)
-    is_limited[component[halfedges[creases, 0] // 3]] = True
-    sides = regions[halfedges // 3]
+    areas, sides = face_areas_and_normals(vertices[triangles])[0], regions[halfedges // 3]
+    component_areas, is_border = np.bincount(component, areas, total), sides[:, 0] != sides[:, 1]
+    lengths = np.linalg.norm(np.subtract(*vertices[halfedge_ends(triangles, halfedges[:, 0])].transpose(1, 0, 2)), axis=1)
+    border_lengths = np.bincount(component[halfedges[:, 0] // 3], lengths * is_border, total)
+    is_creased = border_lengths > MIN_CREASE_LENGTH * np.sqrt(component_areas)
+    is_border &= is_creased[component[halfedges[:, 0] // 3]]
     flat, curved, done = [], [], 0
-    for region, members in split_into_components(surface, halfedges[sides[:, 0] == sides[:, 1]]):
+    for region, members in split_into_components(surface, halfedges[~is_border]):
         yield Progress(done / len(triangles), "Cutting")
         done += len(members)
         may_be_cut = not is_marked[component[members[0]]]
@@ -57,9 +61,9 @@ def divide_at_creases(
         if uv is not None:
             flat.append((CutChart(region, members, may_be_cut), uv))
             continue
-        is_strict = is_limited[component[members[0]]] and areas[members].sum() > MIN_LIMITED_AREA * areas.sum()
+        is_small = areas[members].sum() < MIN_LIMITED_AREA * areas.sum()
+        max_excess = MAX_CREASED_EXCESS if is_creased[component[members[0]]] and not is_small else MAX_EXCESS
         disks = yield from cut_to_disks(region, may_be_cut)
-        max_excess = MAX_PART_EXCESS if is_strict else MAX_EXCESS
         curved += [CutChart(disk, members[indices], may_be_cut, max_excess) for disk, indices in disks]
     return flat, curved
 
@@ -68,14 +72,6 @@ def _label_components(count: int, halfedges: np.ndarray) -> tuple[int, np.ndarra
     """Return the number of components of `count` triangles that are connected across `halfedges` (I, 2), and the one of each triangle."""
     links = coo_array((np.ones(len(halfedges), bool), tuple(halfedges.T // 3)), shape=(count, count))
     return connected_components(links, directed=False)
-
-
-def _is_closed(surface: Chart, halfedges: np.ndarray, component: np.ndarray, areas: np.ndarray) -> np.ndarray:
-    """Return which components are closed or nearly closed, (C,) bool. component, areas: (T,) of each triangle."""
-    corners = surface.vertices[surface.triangles]
-    lengths = np.linalg.norm(np.roll(corners, 1, axis=1) - np.roll(corners, -1, axis=1), axis=2).ravel()
-    lengths[halfedges] = 0.0  # What remains is the boundary.
-    return np.bincount(np.repeat(component, 3), lengths) ** 2 < 4.0 * np.pi * MAX_CLOSED_OPENING * np.bincount(component, areas)
 
 
 def _absorb_bevels(surface: Chart, halfedges: np.ndarray, creases: np.ndarray) -> np.ndarray:

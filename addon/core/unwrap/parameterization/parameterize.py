@@ -61,6 +61,14 @@ AFTER_CHANGE = Schedule(1e-3, 12)  # After a change of penalties or weights.
 FAILURE = "Part of the mesh could not be unwrapped. Remove zero-area faces, use Merge by Distance, or set Islands to Atlas."
 
 
+class DistortionError(GeometryError):
+    """A chart is too distorted in one piece. excess: of symmetric Dirichlet energy, as a fraction of that of an isometry."""
+
+    def __init__(self, message: str, excess: float) -> None:
+        super().__init__(message)
+        self.excess = excess
+
+
 class Boundary(Enum):
     """Shape of a chart's boundary: free, where stretch is minimal, or fixed to a circle or a square."""
 
@@ -88,10 +96,8 @@ def parameterize(
     balance: Balance = Balance.BALANCED,
     max_excess: float = np.inf,
     is_rough: bool = False,
-) -> Steps[np.ndarray | None]:
+) -> Steps[np.ndarray]:
     """Return uv (V, 2) float64 of `chart`, without flipped triangles or overlaps, at the scale of minimum energy.
-
-    None where the coarsest mesh already exceeds `max_excess`.
 
     Args:
         chart: a disk, possibly with holes.
@@ -102,6 +108,7 @@ def parameterize(
         is_rough: stop as soon as it is clear where the chart is stretched; the map may overlap itself.
 
     Raises:
+        DistortionError: the coarsest mesh exceeds `max_excess`.
         GeometryError: the chart has no boundary, or no valid uv was found.
     """
     yield Progress(0.0, "Decimating")
@@ -114,7 +121,7 @@ def parameterize(
     )
     uv = yield from subprogress(parameterizer.optimize_level(parameterizer.initial_uv(coarse), coarse, ROUGH, False), 0.05, 0.05)
     if parameterizer.excess > max_excess:
-        return None
+        raise DistortionError(FAILURE, parameterizer.excess)
     if not is_rough:
         steps = parameterizer.optimize_level(uv, coarse, COARSEST if batches else SINGLE_LEVEL, not batches)
         uv = yield from subprogress(steps, 0.05, 0.1 if batches else 1.0)
