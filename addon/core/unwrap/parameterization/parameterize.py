@@ -112,10 +112,10 @@ def parameterize(
         GeometryError: the chart has no boundary, or no valid uv was found.
     """
     yield Progress(0.0, "Decimating")
-    surface_count = len(chart.vertices)
-    chart, boundary_loop = _fill_to_disk(_normalize_area(chart))
+    disk = _fill_to_disk(_normalize_area(chart))
+    chart = disk.chart
     yield Progress(0.0, "Decimating")
-    parameterizer = _Parameterizer(chart, boundary, min_quality, balance, boundary_loop, surface_count, may_overlap=is_rough)
+    parameterizer = _Parameterizer(disk, _Requirements(boundary, min_quality, balance, may_overlap=is_rough))
     coarse, batches = yield from subprogress(
         decimate(chart.vertices, chart.triangles, COARSEST_VERTICES, parameterizer.is_fixed), 0.0, 0.05
     )
@@ -132,19 +132,19 @@ def parameterize(
     yield Progress(1.0, "Unwrapping")
     if not signed_areas(uv[chart.triangles]).min() > 0.0:
         raise GeometryError(FAILURE)
-    return uv[:surface_count]
+    return uv[: disk.surface_count]
 
 
-def _fill_to_disk(chart: Chart) -> tuple[Chart, np.ndarray]:
-    """Return the chart with all holes filled except for the longest boundary loop, and that loop (B,)."""
+def _fill_to_disk(chart: Chart) -> "_FilledDisk":
+    """Return the chart with all holes filled except for the longest boundary loop."""
     loops = boundary_loops(chart.triangles, chart.vertices)
     if not loops:
         raise GeometryError("A closed surface cannot be unwrapped; cut it first.")
     if len(loops) == 1:
-        return chart, loops[0]
+        return _FilledDisk(chart, loops[0], len(chart.vertices))
     vertices, triangles = fill_holes(chart.vertices, chart.triangles, loops[1:])
     density = np.append(chart.density, np.full(len(triangles) - len(chart.triangles), chart.density.min()))
-    return Chart(vertices, triangles, density), loops[0]
+    return _FilledDisk(Chart(vertices, triangles, density), loops[0], len(chart.vertices))
 
 
 def _group_into_levels(batches: list[CollapseBatch], count: int) -> Iterator[tuple[list[CollapseBatch], float, float]]:
@@ -171,28 +171,36 @@ def _normalize_area(chart: Chart) -> Chart:
     return replace(chart, vertices=(chart.vertices - chart.vertices[0]) * scale)
 
 
+class _FilledDisk(NamedTuple):
+    """A chart with all holes filled except for its longest boundary loop, (B,) vertices. Only its first vertices are surface."""
+
+    chart: Chart
+    boundary_loop: np.ndarray
+    surface_count: int
+
+
+class _Requirements(NamedTuple):
+    """What a map has to fulfill: see `parameterize`. may_overlap: whether only the shapes of triangles count."""
+
+    boundary: Boundary
+    min_quality: float
+    balance: Balance
+    may_overlap: bool
+
+
 class _Parameterizer:
     """The parts of a parameterization that all levels share.
 
     is_fixed: (V,) bool, vertices on a fixed boundary. excess: of symmetric Dirichlet energy, on the level that was optimized last.
     """
 
-    def __init__(
-        self,
-        chart: Chart,
-        boundary: Boundary,
-        min_quality: float,
-        balance: Balance,
-        boundary_loop: np.ndarray,
-        surface_count: int,
-        may_overlap: bool,
-    ) -> None:
-        self._chart, self._boundary, self._min_quality, self._balance = chart, boundary, min_quality, balance
-        self._may_overlap, self._expansion, self.excess = may_overlap, EXPANSIONS[balance], 0.0
-        self._weights = DensityWeights(chart, surface_count)
+    def __init__(self, disk: _FilledDisk, requirements: _Requirements) -> None:
+        chart, self._requirements = disk.chart, requirements
+        self._chart, self._expansion, self.excess = chart, EXPANSIONS[requirements.balance], 0.0
+        self._weights = DensityWeights(chart, disk.surface_count)
         self.is_fixed = np.zeros(len(chart.vertices), bool)
-        if boundary is not Boundary.FREE:
-            self.is_fixed[boundary_loop] = True
+        if requirements.boundary is not Boundary.FREE:
+            self.is_fixed[disk.boundary_loop] = True
 
     def initial_uv(self, triangles: np.ndarray) -> np.ndarray:
         """Return the Tutte embedding (V, 2) of the coarsest mesh."""
@@ -200,7 +208,7 @@ class _Parameterizer:
         [loop] = boundary_loops(triangles, vertices)
         lengths = np.linalg.norm(np.roll(vertices[loop], -1, axis=0) - vertices[loop], axis=1)
         outline = circle_outline(lengths)
-        if self._boundary is Boundary.SQUARE and len(lengths) >= 4:
+        if self._requirements.boundary is Boundary.SQUARE and len(lengths) >= 4:
             outline = square_outline(lengths, 0.0)
             side = np.full(len(vertices), -1)
             side[loop] = _square_sides(outline)
@@ -254,7 +262,7 @@ class _Parameterizer:
             shapes=shapes,
             weights=self._weights.for_triangles(triangles),
             vertex_weights=self._weights.for_vertices(),
-            boundary=boundary[:0] if self._may_overlap or self.is_fixed[boundary].all() else boundary,
+            boundary=boundary[:0] if self._requirements.may_overlap or self.is_fixed[boundary].all() else boundary,
             is_free=is_used & ~self.is_fixed,
             activation_distance=ACTIVATION_DISTANCE * float(np.linalg.norm(np.subtract(*vertices[boundary.T]), axis=1).mean()),
             expansion=self._expansion,
@@ -271,13 +279,13 @@ class _Parameterizer:
             start = 0.1 * index
             uv = yield from subprogress(self._minimize(uv, level, penalties, is_changed, current), start, start + 0.1)
             exponent_changed = self._weights.adapt_exponent(uv, triangles, FINAL_DENSITY_TOLERANCE if is_last else DENSITY_TOLERANCE)
-            is_poor = min_height_to_base(uv[triangles]) < self._min_quality
+            is_poor = min_height_to_base(uv[triangles]) < self._requirements.min_quality
             if not exponent_changed and not is_poor.any():
                 break
             level = (yield from subprogress(self._build_level(triangles), start, start)) if exponent_changed else level
             penalties, is_changed = np.where(is_poor, PENALTY_GROWTH * penalties, penalties), is_poor | exponent_changed
         self.excess = StretchEnergy(triangles, level.shapes, level.weights, self._expansion).distortion_excess(uv)
-        if self._balance is Balance.BALANCED:
+        if self._requirements.balance is Balance.BALANCED:
             self._expansion = self._expansion._replace(symmetry=min(SYMMETRY_PER_EXCESS * self.excess, MAX_SYMMETRY))
         has_final_rounds = is_last and (schedule.is_intermediate or not self._is_stretch_only)
         for index in range(FINAL_ROUNDS if has_final_rounds else 0):
@@ -291,7 +299,7 @@ class _Parameterizer:
     @property
     def _is_stretch_only(self) -> bool:
         """Whether the energy is stretch alone, without density or quality requirements."""
-        return self._weights.is_uniform and self._min_quality == 0.0
+        return self._weights.is_uniform and self._requirements.min_quality == 0.0
 
     def _minimize(
         self, uv: np.ndarray, level: MultigridLevel, penalties: np.ndarray, is_changed: np.ndarray, schedule: Schedule
@@ -309,7 +317,7 @@ class _Parameterizer:
                 if subproblem is None:
                     continue
                 start_uv = uv[subproblem.vertex_indices]
-                energy = subproblem.energy(start_uv, self._min_quality, penalties[subproblem.triangle_indices])
+                energy = subproblem.energy(start_uv, self._requirements.min_quality, penalties[subproblem.triangle_indices])
                 steps = minimize(energy, start_uv, schedule.tolerance, schedule.max_steps)
                 uv[subproblem.vertex_indices] = yield from subprogress(steps, (sweep + done) / sweeps, (sweep + done + 0.01) / sweeps)
         return uv
