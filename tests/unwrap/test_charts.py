@@ -80,13 +80,6 @@ def test_a_tube_is_cut_lengthwise():
     assert len(boundary_loops(cut.chart.triangles, cut.chart.vertices)) == 1
 
 
-def test_a_nearly_closed_surface_is_cut_only_with_further_cuts():
-    mesh = sphere(16)
-    [uncut] = cut_and_check(mesh.vertices, mesh.triangles[2:], further_cuts=False)
-    [cut] = cut_and_check(mesh.vertices, mesh.triangles[2:])
-    assert len(uncut.chart.vertices) < len(cut.chart.vertices)
-
-
 def test_only_seams_are_cut_where_they_suffice():
     mesh = sheet(8)
     across = np.flatnonzero(np.isclose(mesh.vertices[:, 0], np.median(mesh.vertices[:, 0])))

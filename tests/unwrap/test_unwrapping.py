@@ -8,6 +8,7 @@ from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.unwrap.settings import UnwrapSettings
 from farfield.addon.core.unwrap.unwrapping import UnwrapResult, unwrap
+from shapes import sphere
 
 NO_SEAMS = np.zeros((0, 2), int)
 
@@ -18,11 +19,18 @@ def unwrap_mesh(mesh: TriangleMesh, seams: np.ndarray = NO_SEAMS, **settings) ->
 
 
 def test_a_disk_that_is_distorted_in_one_piece_is_cut_only_with_further_cuts():
-    mesh = dome(32, 0.82)  # Its opening is too large for a nearly closed part.
+    mesh = dome(32, 0.82)
     cut, uncut = unwrap_mesh(mesh), unwrap_mesh(mesh, further_cuts=False)
     assert uncut.metrics.symmetric_dirichlet > 5.2 > 4.7 > cut.metrics.symmetric_dirichlet
     assert cut.metrics.needles < 0.005
     assert cut.metrics.flips == cut.metrics.overlaps == uncut.metrics.flips == uncut.metrics.overlaps == 0
+
+
+def test_a_nearly_closed_surface_is_cut_only_with_further_cuts():
+    mesh = sphere(16)
+    nearly_closed = TriangleMesh(mesh.vertices, mesh.triangles[2:])
+    cut, uncut = unwrap_mesh(nearly_closed), unwrap_mesh(nearly_closed, further_cuts=False)
+    assert cut.metrics.symmetric_dirichlet < 4.5 < 10.0 < uncut.metrics.symmetric_dirichlet
 
 
 def test_marked_seams_are_not_added_to():

@@ -57,7 +57,7 @@ class UnwrapSettings(Settings):
         "balanced", "What counts as distortion: faces that are too small, or also faces that are too large in the UV map", choices=BALANCES
     )
     islands: str = setting("creases", "How the surface is divided into UV islands", choices=ISLANDS)
-    further_cuts: bool = setting(True, "Also cut nearly closed and strongly distorted parts. When off, parts are only cut where necessary")
+    further_cuts: bool = setting(True, "Also cut strongly distorted parts. When off, parts are only cut where necessary")
     boundary: str = setting("free", "Shape of the boundary of each UV island", choices=BOUNDARIES)
     margin: float = setting(
         0.004, "Margin around each UV island, relative to the side of the UV square", minimum=0.0, maximum=0.1, unit=Unit.FRACTION

@@ -38,7 +38,7 @@ def cut_into_charts(surface: Chart, seams: np.ndarray, further_cuts: bool = True
 
     Args:
         seams: (S, 2) vertices of edges that are always cut.
-        further_cuts: cut nearly closed components without seams like closed ones, and let `cut_further` cut them.
+        further_cuts: cut components of uneven density without seams further, and let `cut_further` cut all that have none.
     """
     halfedges, has_seam = yield from connect_triangles(surface, seams)
     components = split_into_components(surface, halfedges)

@@ -27,7 +27,6 @@ CREASE_DISCOUNT = 0.8  # A cut along an edge that is folded by 180 degrees saves
 BOUNDARY_COST = 100.0  # Cost factor of edges at the boundary when handles are cut, so that the rest stays connected.
 INSIDE_POLYGON_COST = 1e6  # Cost factor of edges inside a polygon.
 MAX_FILLED_HOLE = 0.01  # A hole that encloses a larger fraction of the area, as a circle, is connected to the boundary instead of filled.
-MAX_CLOSED_OPENING = 0.05  # A part is nearly closed if all its openings enclose a smaller fraction of its area, as circles.
 PROXY_VERTICES = 600  # Vertices of the decimated mesh.
 POOR_EXCESS = (
     1.0  # Of symmetric Dirichlet energy. Above it parameterizations say little about where to cut, and cutting continues in any case.
@@ -42,14 +41,14 @@ def cut_to_disk_edges(chart: Chart, edges: Edges, further_cuts: bool, is_distort
     Args:
         chart: a connected and oriented manifold of any genus, closed or not.
         edges: of the chart.
-        further_cuts: also cut nearly closed charts, charts of uneven density and distorted charts.
+        further_cuts: also cut charts of uneven density and distorted charts.
         is_distorted: whether the chart is strongly distorted in one piece.
     """
     loops = boundary_loops(chart.triangles, chart.vertices)
     handles = 2 - len(loops) - (len(chart.vertices) - len(edges.ends) + len(chart.triangles))
     openings = _opening_areas(chart, loops)
     is_large_hole = openings[1:] > MAX_FILLED_HOLE
-    further_cuts = further_cuts and (is_distorted or openings.max(initial=0.0) < MAX_CLOSED_OPENING or float(np.ptp(chart.density)) > 0.0)
+    further_cuts = further_cuts and (is_distorted or float(np.ptp(chart.density)) > 0.0)
     if not handles and loops and not is_large_hole.any() and not further_cuts:
         return np.zeros(len(edges.ends), bool)
     yield Progress(0.0, "Finding cuts")

@@ -25,7 +25,7 @@ MAX_CREASED_EXCESS = 0.025  # The same of other regions of creased surfaces, whi
 MIN_CREASE_LENGTH = (
     0.5  # Of the borders of regions, relative to the square root of the area; smooth surfaces are not divided at fewer creases.
 )
-MIN_LIMITED_AREA = 0.003  # Regions with a smaller fraction of the area hardly matter; `MAX_EXCESS` applies to them.
+MIN_REGION_AREA = 0.003  # Regions with a smaller fraction of the area hardly matter.
 
 
 def divide_at_creases(
@@ -49,7 +49,10 @@ def divide_at_creases(
     areas, sides = face_areas_and_normals(vertices[triangles])[0], regions[halfedges // 3]
     component_areas, is_border = np.bincount(component, areas, total), sides[:, 0] != sides[:, 1]
     lengths = np.linalg.norm(np.subtract(*vertices[halfedge_ends(triangles, halfedges[:, 0])].transpose(1, 0, 2)), axis=1)
-    border_lengths = np.bincount(component[halfedges[:, 0] // 3], lengths * is_border, total)
+    counts = is_border & (
+        np.bincount(regions, areas)[sides].min(axis=1) > MIN_REGION_AREA * component_areas[component[halfedges[:, 0] // 3]]
+    )
+    border_lengths = np.bincount(component[halfedges[:, 0] // 3], lengths * counts, total)
     is_creased = border_lengths > MIN_CREASE_LENGTH * np.sqrt(component_areas)
     is_border &= is_creased[component[halfedges[:, 0] // 3]]
     flat, curved, done = [], [], 0
@@ -61,7 +64,7 @@ def divide_at_creases(
         if uv is not None:
             flat.append((CutChart(region, members, may_be_cut), uv))
             continue
-        is_small = areas[members].sum() < MIN_LIMITED_AREA * areas.sum()
+        is_small = areas[members].sum() < MIN_REGION_AREA * areas.sum()
         max_excess = MAX_CREASED_EXCESS if is_creased[component[members[0]]] and not is_small else MAX_EXCESS
         disks = yield from cut_to_disks(region, may_be_cut)
         curved += [CutChart(disk, members[indices], may_be_cut, max_excess) for disk, indices in disks]
