@@ -1,4 +1,4 @@
-"""Whole unwraps: what is cut further, and what that is worth."""
+"""Complete unwraps: which charts are cut further, and the gain."""
 
 import numpy as np
 import pytest

@@ -8,9 +8,9 @@ import heapq
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from ..arrays import TINY
+from ..geometry.convex_hulls import convex_hull
 from ..geometry.mesh import TriangleMesh, face_areas_and_normals
 from ..geometry.transforms import cross
 from ..jobs.progress import Progress, Steps
@@ -76,7 +76,7 @@ class _Merging:
         self._islands: dict[int, _Island] = {}
         order = np.argsort(self._labels, kind="stable")
         for members in np.split(order, np.cumsum(np.bincount(self._labels))[:-1]):
-            island = _Island(members, float(areas[members].sum()), _hull(corner_uvs[members].reshape(-1, 2)))
+            island = _Island(members, float(areas[members].sum()), convex_hull(corner_uvs[members].reshape(-1, 2)))
             self._islands[int(self._labels[members[0]])] = island
         for link, (a, b) in enumerate(self._labels[faces].tolist()):
             if a != b:
@@ -160,7 +160,7 @@ class _Merging:
 
     def _is_compact(self, fixed: _Island, moved: _Island, hull: np.ndarray) -> bool:
         """Return whether two islands, the second one moved to `hull` (H, 2), together waste little of the texture."""
-        sides = _box_sides(_hull(np.concatenate([fixed.hull, hull])))
+        sides = _box_sides(convex_hull(np.concatenate([fixed.hull, hull])))
         parts = np.stack([_box_sides(island.hull) for island in (fixed, moved)])
         is_thin = fixed.area + moved.area < MAX_THINNESS * sides.max() ** 2
         max_side = min(MAX_LENGTH * self._side, self._max_side) if is_thin else self._max_side
@@ -175,7 +175,7 @@ class _Merging:
         self._labels[moved.triangles] = a
         fixed.triangles = np.concatenate([fixed.triangles, moved.triangles])
         fixed.area += moved.area
-        fixed.hull = _hull(np.concatenate([fixed.hull, hull]))
+        fixed.hull = convex_hull(np.concatenate([fixed.hull, hull]))
         del fixed.borders[b]
         for other, links in moved.borders.items():
             if other != a:
@@ -195,14 +195,6 @@ def _preferences(mesh: TriangleMesh, halfedges: np.ndarray) -> np.ndarray:
     origins = mesh.vertices[mesh.triangles[faces[:, 0], (halfedges[:, 0] + 1) % 3]]
     is_concave = np.einsum("li,li->l", apexes - origins, normals[faces[:, 0]]) > 0.0
     return 1.0 + FOLD_PREFERENCE * np.cos(folds) - CONCAVE_PREFERENCE * is_concave
-
-
-def _hull(points: np.ndarray) -> np.ndarray:
-    """Return the corners (H, 2) of the convex hull of `points` (N, 2)."""
-    try:
-        return points[ConvexHull(points).vertices]
-    except QhullError:  # All on a line.
-        return points[[points[:, 0].argmin(), points[:, 0].argmax(), points[:, 1].argmin(), points[:, 1].argmax()]]
 
 
 def _box_sides(hull: np.ndarray) -> np.ndarray:

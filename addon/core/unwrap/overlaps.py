@@ -88,7 +88,7 @@ def any_overlap(first: np.ndarray, second: np.ndarray, gap: float) -> bool:
     gap: distance below which triangles count as overlapping, unless they have a corner in common.
     """
     bounds = [(corners.min(axis=1) - 0.5 * gap, corners.max(axis=1) + 0.5 * gap) for corners in (first, second)]
-    for _ in range(2):  # Only what is inside the bounding box of the others can overlap them.
+    for _ in range(2):  # Only triangles inside the bounding box of the others can overlap them.
         (first_low, first_high), (second_low, second_high) = bounds
         if not len(first) or not len(second):
             return False

@@ -1,8 +1,8 @@
 """Packs charts into the UV square without changing their relative scale."""
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
+from ..geometry.convex_hulls import convex_hull
 from .raster_packing import Placement, place_charts
 
 PACKING_RESOLUTION = 1024  # Texels per side of the square that xatlas packs into.
@@ -37,10 +37,7 @@ def _move(uv: np.ndarray, placement: Placement) -> np.ndarray:
 
 def orient(uv: np.ndarray) -> np.ndarray:
     """Return `uv` (V, 2) rotated to the bounding box of minimum area, with the longer side along u."""
-    try:
-        hull = uv[ConvexHull(uv).vertices]
-    except QhullError:  # A degenerate chart, close to a line.
-        hull = uv
+    hull = convex_hull(uv)
     edges = np.roll(hull, -1, axis=0) - hull
     angles = np.arctan2(edges[:, 1], edges[:, 0]) % (0.5 * np.pi)
     rotations = np.stack([np.cos(angles), np.sin(angles), -np.sin(angles), np.cos(angles)], axis=1).reshape(-1, 2, 2)

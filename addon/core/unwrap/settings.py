@@ -54,7 +54,9 @@ class UnwrapSettings(Settings):
         maximum=0.3,
     )
     balance: str = setting(
-        "balanced", "What counts as distortion: faces that are too small, or also faces that are too large in the UV map", choices=BALANCES
+        "balanced",
+        "Distortion to minimize: of faces that are too small, or also of faces that are too large in the UV map",
+        choices=BALANCES,
     )
     islands: str = setting("creases", "How the surface is divided into UV islands", choices=ISLANDS)
     further_cuts: bool = setting(True, "Also cut strongly distorted parts. When off, parts are only cut where necessary")

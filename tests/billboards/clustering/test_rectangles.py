@@ -8,13 +8,13 @@ from hypothesis import strategies as st
 from farfield.addon.core.billboards.clustering.rectangles import (
     approximate_min_area_axes,
     compute_bounds,
-    convex_hull,
     crop_rectangle,
     enclosing_rectangle,
     is_inside,
     min_area_axes,
     rectangle_area,
 )
+from farfield.addon.core.geometry.convex_hulls import convex_hull
 
 seeds = st.integers(0, 2**32 - 1)
 

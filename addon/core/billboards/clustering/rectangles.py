@@ -6,22 +6,13 @@ A rectangle is an array (4,) u_min, u_max, v_min, v_max.
 from functools import reduce
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
+
+from ...geometry.convex_hulls import convex_hull
 
 ANGLE_COUNT = 24  # Rotations that `approximate_min_area_axes` tests, over a quarter turn.
 INSIDE_TOLERANCE = 1e-9  # Tolerance for rounding, relative to the longer side of a rectangle.
 MIN_WORTH_GAIN = 1e-9  # Relative gain of a crop that is not just rounding.
 OUTWARD = np.array([[-1.0], [1.0], [-1.0], [1.0]])  # Signs of u_min, u_max, v_min, v_max: a rectangle grows if these products grow.
-
-
-def convex_hull(points: np.ndarray) -> np.ndarray:
-    """Return the corners (H, 2) of the convex hull of `points` (N, 2), counter-clockwise; of points on one line, the two ends."""
-    try:
-        return points[ConvexHull(points).vertices]
-    except (QhullError, ValueError):
-        centered = points - points.mean(axis=0)
-        along = centered @ np.linalg.svd(centered, full_matrices=False)[2][0]
-        return points[[along.argmin(), along.argmax()]]
 
 
 def min_area_axes(points: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
 from ...arrays import TINY
-from ...geometry.edges import find_edges
+from ...geometry.edges import Edges, find_edges
 from ...jobs.progress import Progress, Steps
 from .chart import Chart, split_into_components
 from .charts import CutChart, cut_to_disks
@@ -24,9 +24,10 @@ def bisect_further(cut: CutChart, uv: np.ndarray | None) -> Steps[list[CutChart]
     axis = np.linalg.svd(centered.T @ centered)[0][:, 0]
     along = (centered @ axis)[chart.triangles].mean(axis=1)
     yield Progress(0.0, "Cutting")
-    is_second = bisect(chart, (along - along.min()) / max(float(np.ptp(along)), TINY))
+    edges = find_edges(chart.triangles, len(chart.vertices))
+    is_second = _bisect(chart, edges, (along - along.min()) / max(float(np.ptp(along)), TINY))
     yield Progress(0.0, "Cutting")
-    halfedges = find_edges(chart.triangles, len(chart.vertices)).interior_halfedges
+    halfedges = edges.interior_halfedges
     sides = is_second[halfedges // 3]
     parts, charts = split_into_components(chart, halfedges[sides[:, 0] == sides[:, 1]]), []
     for part, members in parts if len(parts) > 1 else ():
@@ -35,12 +36,11 @@ def bisect_further(cut: CutChart, uv: np.ndarray | None) -> Steps[list[CutChart]
     return charts or [cut]
 
 
-def bisect(chart: Chart, position: np.ndarray) -> np.ndarray:
+def _bisect(chart: Chart, edges: Edges, position: np.ndarray) -> np.ndarray:
     """Return which triangles (T,) bool are in the second part, after a minimum cut; polygons are not cut.
 
     position: (T,) along the map, 0 to 1.
     """
-    edges = find_edges(chart.triangles, len(chart.vertices))
     first, second = edges.interior_halfedges.T // 3
     lengths = np.linalg.norm(np.subtract(*chart.vertices[edges.ends[edges.interior].T]), axis=1)
     costs = lengths * cut_cost(chart, edges)[edges.interior]
