@@ -143,13 +143,14 @@ def measure_hard_surfaces(given: Namespace) -> dict[str, Any]:
     for name in [*unwrap_solids.SOLIDS, *(name for name in HARD_FILES if (given.data / HARD_FILES[name]).exists())]:
         item, target = open_model(given.data, name)
         settings, uniform = UnwrapSettings(), np.zeros(len(target.mesh.triangles))
+        margin = settings.margin / settings.texture_size[0]
         unwrapped, seconds = min((run_timed(target, uniform, settings) for _ in range(given.repeats)), key=lambda run: run[1])
         maps = {"farfield": (unwrapped.corner_uvs, seconds)}
         unit = TriangleMesh(target.mesh.vertices * (10.0 / longest_side(target.mesh.vertices)), target.mesh.triangles)
         started = time.process_time()
-        maps["xatlas"] = unwrap_with_xatlas(unit, settings.margin)[0], time.process_time() - started
+        maps["xatlas"] = unwrap_with_xatlas(unit, margin)[0], time.process_time() - started
         started = time.process_time()
-        maps["smart_project"] = unwrap_with_smart_project(item, target.loops, settings.margin), time.process_time() - started
+        maps["smart_project"] = unwrap_with_smart_project(item, target.loops, margin), time.process_time() - started
         figures = {method: summarize(compute_metrics(unit, uvs), seconds) for method, (uvs, seconds) in maps.items()}
         for method, (uvs, _) in maps.items():
             figures[method]["seam"] = round(compute_seam_length(unit, uvs), 3)

@@ -36,6 +36,7 @@ class Unit(Enum):
     ANGLE = "degrees"  # Radians internally.
     LENGTH = "scene units"
     SECONDS = "seconds"
+    PIXELS = "px"
 
 
 @dataclass(frozen=True)
@@ -99,6 +100,11 @@ class Description:
         """All flags of the setting: `--textures` and `--no-textures` for a boolean, otherwise `flag` alone."""
         return (self.flag, "--no-" + self.flag.removeprefix("--")) if self.type is bool else (self.flag,)
 
+    @property
+    def has_integers(self) -> bool:
+        """Whether the setting is several integers."""
+        return self.type is tuple and all(isinstance(number, int) for number in self.default)
+
     def with_flag(self, value: Any) -> str:
         """Return the flag that sets `value`: `--levels 3`, `--no-textures`."""
         return self.flags[not value] if self.type is bool else f"{self.flag} {self.format(value)}"
@@ -126,10 +132,11 @@ class Description:
                 number = float(text.rstrip("% ")) / (100.0 if text.rstrip().endswith("%") else 1.0)
                 return math.radians(number) if self.unit is Unit.ANGLE else number
             if self.type is tuple:
-                return tuple(float(number) for number in text.split(","))
+                return tuple((int if self.has_integers else float)(number) for number in text.split(","))
             return self.type(text)
         except ValueError:
-            expected = "numbers separated by commas" if self.type is tuple else "a number"
+            numbers = "integers" if self.has_integers else "numbers"
+            expected = f"{numbers} separated by commas" if self.type is tuple else "a number"
             raise SettingsError(f'{self.label} must be {expected}, not "{text}".', settings=(self.name,)) from None
 
 
@@ -244,11 +251,18 @@ def _find_problem(description: Description, value: Any) -> str | None:
     if description.type is tuple:
         if len(value) != len(description.default) or not all(math.isfinite(number) for number in value):
             return f"must be {len(description.default)} finite numbers, not {description.format(tuple(value))}"
-        return None
+        if description.has_integers and not all(isinstance(number, Integral) for number in value):
+            return f"must be {len(description.default)} integers, not {description.format(tuple(value))}"
+        return next(filter(None, (_find_limit_problem(description, number) for number in value)), None)
     if not isinstance(value, int | float) or isinstance(value, bool):
         return None
     if isinstance(value, float) and not math.isfinite(value):
         return f"must be a finite number, not {value}"
+    return _find_limit_problem(description, value)
+
+
+def _find_limit_problem(description: Description, value: float) -> str | None:
+    """Return the rest of a sentence that begins with the setting's label, None when a number is within the limits."""
     if description.minimum is not None and value < description.minimum:
         return f"is {description.format(value):.60}; the minimum is {description.format(description.minimum)}"
     if description.maximum is not None and value > description.maximum:

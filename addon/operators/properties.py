@@ -13,7 +13,13 @@ import bpy
 from ..core.errors import FileError
 from ..core.settings import Description, Settings, Unit, describe
 
-NUMBER_SUBTYPES = {Unit.FRACTION: "PERCENTAGE", Unit.ANGLE: "ANGLE", Unit.LENGTH: "DISTANCE", Unit.SECONDS: "TIME_ABSOLUTE"}
+NUMBER_SUBTYPES = {
+    Unit.FRACTION: "PERCENTAGE",
+    Unit.ANGLE: "ANGLE",
+    Unit.LENGTH: "DISTANCE",
+    Unit.SECONDS: "TIME_ABSOLUTE",
+    Unit.PIXELS: "PIXEL",
+}
 PATH_SUBTYPES = {None: "NONE", "file": "FILE_PATH", "folder": "DIR_PATH"}
 
 
@@ -57,17 +63,19 @@ def build_property(description: Description, options: set[str]) -> Any:
     if description.is_color:
         limits = {"min": 0.0, "max": 1.0}
         return bpy.props.FloatVectorProperty(size=3, default=description.default, subtype="COLOR_GAMMA", **limits, **common)
-    if description.type is tuple:
-        return bpy.props.FloatVectorProperty(size=len(description.default), default=description.default, precision=3, **common)
     limits = {
         keyword: to_blender(description, limit)
         for keyword, limit in (("min", description.minimum), ("max", description.maximum))
         if limit is not None
     }
     default = to_blender(description, description.default)
-    if description.type is int:
-        return bpy.props.IntProperty(default=default, **limits, **common)
     subtype = NUMBER_SUBTYPES.get(description.unit, "NONE")
+    if description.has_integers:
+        return bpy.props.IntVectorProperty(size=len(default), default=default, **limits, **common)
+    if description.type is tuple:
+        return bpy.props.FloatVectorProperty(size=len(default), default=default, precision=3, **limits, **common)
+    if description.type is int:
+        return bpy.props.IntProperty(default=default, subtype=subtype, **limits, **common)
     return bpy.props.FloatProperty(default=default, precision=2, subtype=subtype, **limits, **common)
 
 
@@ -82,7 +90,7 @@ def from_blender(description: Description, value: Any) -> Any:
     Blender's floats are single precision. Rounding to six digits undoes this, so that values at a limit are not out of range.
     """
     if description.type is tuple:
-        return tuple(_round(number) for number in value)
+        return tuple(value) if description.has_integers else tuple(_round(number) for number in value)
     if description.type is not float:
         return value
     if description.unit is Unit.ANGLE:

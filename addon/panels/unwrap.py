@@ -11,6 +11,7 @@ from ..operators.unwrap.operators import (
     FARFIELD_OT_unwrap_direction,
     FARFIELD_OT_unwrap_overlay,
     FARFIELD_OT_unwrap_stretch_image,
+    FARFIELD_OT_unwrap_texel_density,
     disabled_reason,
     is_unwrapped,
 )
@@ -28,7 +29,8 @@ METRICS = (
     ("Flips", "flips", "{:.0f}"),
     ("Overlaps", "overlaps", "{:.0f}"),
     ("Min Quality", "min_quality", "{:.3f}"),
-    ("Filled Area", "fill", "{:.0%}"),
+    ("Pack Fill", "fill", "{:.0%}"),
+    ("Texel Density", "texel_density", "{:.4g} px/m"),
     ("Density Ratio", "density_ratio", "{:.2f}"),
 )
 
@@ -50,7 +52,7 @@ class FARFIELD_PT_unwrap(SettingsPanel, ToolPanel, bpy.types.Panel):
             return
         draw_button(layout, FARFIELD_OT_unwrap, "Unwrap", "UV")
         if is_unwrapped(context.active_object):
-            draw_metrics(layout, uv_maps.read_metrics(context.active_object.data))
+            draw_metrics(layout, uv_maps.read_metrics(context.active_object.data), uv_maps.read_texel_densities(context.active_object.data))
             row = layout.row(align=True)
             row.operator(FARFIELD_OT_unwrap_overlay.bl_idname, text="Show Stretch", icon="OVERLAY", depress=overlay.is_shown)
             row.operator(FARFIELD_OT_unwrap_stretch_image.bl_idname, text="", icon="IMAGE_DATA")
@@ -63,10 +65,12 @@ class FARFIELD_PT_unwrap(SettingsPanel, ToolPanel, bpy.types.Panel):
         super().draw_setting(layout, context, item)
         if item.name == "direction":
             layout.operator(FARFIELD_OT_unwrap_direction.bl_idname, text="From View", icon="VIEW3D")
+        if item.name == "texel_density":
+            layout.operator(FARFIELD_OT_unwrap_texel_density.bl_idname, text="From Active UV Map", icon="EYEDROPPER")
 
 
-def draw_metrics(layout: bpy.types.UILayout, metrics: dict[str, float]) -> None:
-    """Draw the metrics of a UV map; the density ratio only where density is not uniform."""
+def draw_metrics(layout: bpy.types.UILayout, metrics: dict[str, float], texel_densities: dict[str, float]) -> None:
+    """Draw the metrics of a UV map, and the texel density of each; the density ratio only where density is not uniform."""
     columns = layout.box().row()
     labels, values = columns.column(align=True), columns.column(align=True)
     values.alignment = "RIGHT"
@@ -74,6 +78,9 @@ def draw_metrics(layout: bpy.types.UILayout, metrics: dict[str, float]) -> None:
         if metrics.get(key, 0.0) or key != "density_ratio":
             labels.label(text=label)
             values.label(text=number_format.format(metrics.get(key, 0.0)))
+    for name, density in texel_densities.items() if len(texel_densities) > 1 else ():
+        labels.label(text=name, icon="UV")
+        values.label(text=f"{density:.4g} px/m")
 
 
 CLASSES = (FARFIELD_PT_unwrap,)

@@ -11,6 +11,7 @@ from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.unwrap.distortion import DistortionMetrics, Stretches, compute_stretches, measure_distortion
 from farfield.addon.core.unwrap.overlaps import count_overlaps
 from farfield.addon.core.unwrap.packing import pack_charts
+from farfield.addon.core.unwrap.texture import Texture
 from shapes import sheet
 
 
@@ -131,7 +132,7 @@ def test_charts_are_packed_without_overlaps_and_keep_their_relative_scale():
         mesh = sheet(int(random.integers(2, 6)))
         uvs.append(mesh.vertices[:, :2] * random.uniform(0.3, 3.0, 2))
         triangles.append(mesh.triangles)
-    packed = pack_charts(uvs, triangles, 0.01)
+    packed = run_to_end(pack_charts(uvs, triangles, Texture(margin=20.48))).uvs
     corner_uvs = np.concatenate([uv[faces] for uv, faces in zip(packed, triangles, strict=True)])
     assert corner_uvs.min() >= 0.01 - 1e-9 and corner_uvs.max() <= 0.99 + 1e-9
     assert run_to_end(count_overlaps(corner_uvs)) == 0

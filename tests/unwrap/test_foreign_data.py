@@ -44,7 +44,7 @@ def test_metrics_of_another_type_are_ignored(value):
     assert not bpy.ops.farfield.unwrap_stretch_image.poll()
     item.data[uv_maps.METRICS_PROPERTY] = {"l2": 1.5, "linf": math.inf, "p95": "text"}
     assert uv_maps.read_metrics(item.data) == {"l2": 1.5, "linf": math.inf} and operators.is_unwrapped(item)
-    draw_metrics(layout, uv_maps.read_metrics(item.data))
+    draw_metrics(layout, uv_maps.read_metrics(item.data), uv_maps.read_texel_densities(item.data))
     assert len(layout.texts) == 2 * len(METRICS) - 2 and "1.500" in layout.texts and "inf" in layout.texts
 
 

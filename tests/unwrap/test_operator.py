@@ -419,3 +419,42 @@ class TestChangesWhileUnwrapping:
         with pytest.raises(GeometryError, match="while it was being unwrapped"):
             self.finish_after(changes[change])
         assert not first.data.uv_layers and uv_maps.STRETCH_ATTRIBUTE not in first.data.attributes
+
+
+@pytest.mark.parametrize(("scale_length", "system"), [(1.0, "METRIC"), (0.01, "METRIC"), (0.01, "NONE")])
+def test_the_texel_density_counts_pixels_per_meter(scale_length, system):
+    item = add_mesh("Square", [(10.0 * x, 10.0 * y, z) for x, y, z in SQUARE], [(0, 1, 2, 3)])
+    units = bpy.context.scene.unit_settings
+    units.system, units.scale_length = system, scale_length
+    meters = 10.0 if system == "NONE" else 10.0 * scale_length
+    assert unwrap(texture_size=(512, 512), margin=6) == {"FINISHED"}
+    assert uv_maps.read_metrics(item.data)["texel_density"] == pytest.approx(500.0 / meters)
+    assert uv_maps.read_metrics(item.data)["fill"] == pytest.approx((500.0 / 512.0) ** 2)
+    unwrap(texture_size=(512, 512), texel_density=100.0 / meters, uv_map="Small")
+    corner_uvs, _ = read_corner_uvs(item, "Small")
+    assert np.ptp(corner_uvs, axis=(0, 1)) * 512.0 == pytest.approx([100.0, 100.0], rel=1e-5)
+    assert uv_maps.read_texel_densities(item.data) == pytest.approx({"Unwrap": 500.0 / meters, "Small": 100.0 / meters})
+
+
+def test_a_lowered_texel_density_is_reported(capfd):
+    add_sphere()
+    unwrap(texture_size=(256, 256), texel_density=1e4)
+    assert 'The texel density of "Sphere" was lowered to' in capfd.readouterr().out
+
+
+def test_islands_are_written_to_udim_tiles():
+    item = add_sphere()
+    unwrap(texture_size=(256, 256), islands="atlas", texel_density=100.0, max_tiles=12)
+    corner_uvs, _ = read_corner_uvs(item)
+    tiles = np.floor(corner_uvs)
+    assert (tiles == tiles[:, :1]).all() and len(np.unique(tiles[:, 0], axis=0)) > 1
+    assert uv_maps.read_metrics(item.data)["texel_density"] == pytest.approx(100.0, rel=1e-3)
+    assert run_to_end(count_overlaps(corner_uvs)) == 0
+
+
+def test_the_texel_density_of_a_uv_map_becomes_the_setting():
+    add_mesh("Square", SQUARE, [(0, 1, 2, 3)])
+    unwrap(texture_size=(512, 512), texel_density=200.0)
+    bpy.context.scene.farfield_unwrap.texture_size = (1024, 1024)
+    assert bpy.ops.farfield.unwrap_texel_density() == {"FINISHED"}
+    assert bpy.context.scene.farfield_unwrap.texel_density == pytest.approx(400.0, rel=1e-4)

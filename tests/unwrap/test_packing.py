@@ -8,6 +8,7 @@ from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.unwrap.cutting.atlas_seams import find_atlas_seams
 from farfield.addon.core.unwrap.packing import pack_charts
 from farfield.addon.core.unwrap.settings import UnwrapSettings
+from farfield.addon.core.unwrap.texture import Texture
 from farfield.addon.core.unwrap.unwrapping import unwrap
 from shapes import box, cylinder
 
@@ -17,7 +18,7 @@ SQUARE_TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 
 def pack_rectangles(sides, margin=0.01):
     """Pack rectangles and return their lower and upper corners (C, 2)."""
-    packed = pack_charts([SQUARE * side for side in sides], [SQUARE_TRIANGLES] * len(sides), margin)
+    packed = run_to_end(pack_charts([SQUARE * side for side in sides], [SQUARE_TRIANGLES] * len(sides), Texture(margin=2048 * margin))).uvs
     return np.array([uv.min(axis=0) for uv in packed]), np.array([uv.max(axis=0) for uv in packed])
 
 
@@ -70,3 +71,46 @@ def test_a_surface_with_a_far_vertex_is_unwrapped(islands, length):
         UnwrapSettings(islands=islands),
     )
     assert np.isfinite(run_to_end(steps).corner_uvs).all()
+
+
+def pack_random_rectangles(texture, count=40, seed=3):
+    """Pack rectangles; return their sides (C, 2), and lower and upper corners (C, 2) in texels of the texture."""
+    sides = np.random.default_rng(seed).uniform(0.2, 1.0, (count, 2))
+    packing = run_to_end(pack_charts([SQUARE * side for side in sides], [SQUARE_TRIANGLES] * count, texture))
+    corners = np.array(packing.uvs) * texture.size
+    return packing, sides, corners.min(axis=1), corners.max(axis=1)
+
+
+@pytest.mark.parametrize(("size", "margin"), [((2048, 2048), 8), ((1024, 1024), 3), ((4096, 1024), 8), ((512, 1024), 20), ((256, 256), 0)])
+def test_margins_are_kept_in_pixels_and_proportions_on_any_texture(size, margin):
+    packing, sides, low, high = pack_random_rectangles(Texture(size=size, margin=margin))
+    assert packing.tile_count == 1
+    assert low.min() >= margin - 1e-6 and (high <= np.array(size) - margin + 1e-6).all()
+    np.testing.assert_allclose(np.sort(high - low, axis=1), np.sort(sides, axis=1) * packing.density, rtol=1e-9)
+    gaps = np.maximum(low[:, None] - high, low - high[:, None]).max(axis=2)[~np.eye(len(low), dtype=bool)]
+    assert gaps.min() >= margin - 1e-6
+    assert (high - low).prod(axis=1).sum() > 0.4 * size[0] * size[1]
+
+
+def test_islands_go_to_further_tiles_at_a_texel_density():
+    _, _, low, high = pack_random_rectangles(Texture(size=(1024, 1024), max_tiles=20, density=900.0))
+    tiles = np.floor(low / 1024.0).astype(int)
+    assert (np.floor(high / 1024.0) == tiles).all() and (tiles[:, 0] < 10).all()
+    numbers = np.unique(tiles @ [1, 10])
+    assert numbers.tolist() == list(range(len(numbers))) and 10 < len(numbers) <= 20
+    assert (low % 1024.0 >= 8.0 - 1e-6).all() and (high % 1024.0 <= 1016.0 + 1e-6).all()
+
+
+def test_a_texel_density_that_fits_into_one_tile_is_kept_exactly():
+    packing, *_ = pack_random_rectangles(Texture(size=(1024, 1024), max_tiles=5, density=100.0))
+    assert packing.tile_count == 1 and packing.density == 100.0
+
+
+def test_a_texel_density_that_does_not_fit_is_lowered():
+    dense, fitting = (pack_random_rectangles(Texture(size=(1024, 1024), density=density))[0] for density in (512.0, 0.0))
+    assert dense.tile_count == 1 and dense.density == fitting.density < 512.0
+
+
+def test_without_a_texel_density_all_tiles_are_filled():
+    one, four = (pack_random_rectangles(Texture(size=(1024, 1024), max_tiles=count))[0] for count in (1, 4))
+    assert four.tile_count == 4 and 1.7 < four.density / one.density < 2.2

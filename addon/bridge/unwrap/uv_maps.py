@@ -7,8 +7,9 @@ import idprop
 import numpy as np
 
 from ...core.errors import GeometryError
-from ...core.geometry.mesh import TriangleMesh
+from ...core.geometry.mesh import TriangleMesh, face_areas_and_normals
 from ...core.geometry.transforms import is_mirroring, transform_points
+from ...core.unwrap.texture import Texture, compute_texel_density
 from ..geometry.mesh_arrays import read_attribute, read_loop_triangles, read_loop_vertices, read_positions, read_uvs, read_values, write_uvs
 from ..geometry.meshes import describe_type, is_collection_instance, is_in_view_layer
 from ..objects import find_by_uid
@@ -16,6 +17,7 @@ from ..objects import find_by_uid
 STRETCH_ATTRIBUTE = "farfield_stretch"  # Face attribute: the stretch farthest from 1 of the triangles of a polygon.
 PIN_PREFIX = ".pn."  # The attribute with the pinned corners of a UV map has this before the map's name.
 METRICS_PROPERTY = "farfield_unwrap"  # Custom property of a mesh.
+DENSITIES_PROPERTY = "texel_densities"  # Among the metrics: texels per meter of each UV map.
 MAX_UV_MAPS = 8  # Per mesh.
 
 
@@ -82,6 +84,19 @@ def read_uv_target(item: bpy.types.Object, vertex_group: str | None) -> UvTarget
     )
 
 
+def read_unit_length(scene: bpy.types.Scene) -> float:
+    """Return the length of a Blender unit in meters."""
+    units = scene.unit_settings
+    return 1.0 if units.system == "NONE" else units.scale_length
+
+
+def measure_texel_density(mesh: bpy.types.Mesh, target: UvTarget, uv_map: str, texture: Texture, unit_length: float) -> float:
+    """Return the texels per meter, on average, of the triangles of `target` in a UV map of its mesh, which is not in Edit Mode."""
+    corner_uvs = read_uvs(mesh.uv_layers[uv_map])[target.loops].astype(np.float64)
+    area = float(face_areas_and_normals(target.mesh.corners)[0].sum())
+    return compute_texel_density(corner_uvs, area * unit_length**2, texture)
+
+
 def skip_reason(item: bpy.types.Object, uv_map: str) -> str:
     """Return why no UV map of this name can be written into an object's mesh, or an empty string."""
     if is_collection_instance(item):
@@ -125,8 +140,18 @@ def find_mesh(target: UvTarget, uv_map: str) -> bpy.types.Mesh:
     return mesh
 
 
-def write_uv_map(target: UvTarget, corner_uvs: np.ndarray, stretches: np.ndarray, uv_map: str, metrics: dict[str, float]) -> None:
+def write_uv_map(
+    target: UvTarget,
+    corner_uvs: np.ndarray,
+    stretches: np.ndarray,
+    uv_map: str,
+    metrics: dict[str, float],
+    texture: Texture | None = None,
+    unit_length: float = 1.0,
+) -> None:
     """Write the UV map `corner_uvs` (T, 3, 2), its dominant stretch (T,) and its metrics into the mesh, and make it active.
+
+    The metrics also get the texel density of each UV map of the mesh, for a `texture` and a Blender unit of so many meters.
 
     Raises:
         GeometryError: see `find_mesh`.
@@ -144,7 +169,9 @@ def write_uv_map(target: UvTarget, corner_uvs: np.ndarray, stretches: np.ndarray
     order = np.argsort(np.abs(np.log(limited)), kind="stable")  # Of the triangles of a polygon the last one counts.
     polygon_stretches[target.polygon_ids[order]] = limited[order]
     attribute.data.foreach_set("value", polygon_stretches)
-    mesh[METRICS_PROPERTY] = metrics
+    texture = texture or Texture()
+    densities = {layer.name: measure_texel_density(mesh, target, layer.name, texture, unit_length) for layer in mesh.uv_layers}
+    mesh[METRICS_PROPERTY] = {**metrics, DENSITIES_PROPERTY: densities}
     mesh.update()
 
 
@@ -168,11 +195,19 @@ def read_uv_stretch(mesh: bpy.types.Mesh) -> UvStretch | None:
 
 
 def read_metrics(mesh: bpy.types.Mesh) -> dict[str, float]:
-    """Read the numbers among the metrics stored by `write_uv_map`; empty for a mesh that has not been unwrapped.
+    """Read the numbers among the metrics stored by `write_uv_map`; empty for a mesh that has not been unwrapped."""
+    return _read_numbers(mesh.get(METRICS_PROPERTY))
 
-    Custom properties may have been edited or come from elsewhere: anything else is ignored.
-    """
+
+def read_texel_densities(mesh: bpy.types.Mesh) -> dict[str, float]:
+    """Read the texels per meter of each UV map, as measured by `write_uv_map`, of those that the mesh still has."""
     stored = mesh.get(METRICS_PROPERTY)
+    densities = _read_numbers(stored.get(DENSITIES_PROPERTY)) if isinstance(stored, idprop.types.IDPropertyGroup) else {}
+    return {name: density for name, density in densities.items() if name in mesh.uv_layers}
+
+
+def _read_numbers(stored: object) -> dict[str, float]:
+    """Return the numbers in a custom property. It may have been edited or come from elsewhere: anything else is ignored."""
     if not isinstance(stored, idprop.types.IDPropertyGroup):
         return {}
     return {name: value for name, value in stored.items() if isinstance(value, int | float)}

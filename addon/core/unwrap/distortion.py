@@ -13,6 +13,7 @@ from .energies.shape_barrier import min_height_to_base
 from .energies.stretch_energy import compute_jacobians
 from .overlaps import count_overlaps
 from .parameterization.density_control import compute_density_ratio
+from .texture import Texture, compute_texel_density
 
 NEGLIGIBLE_AREA = 1e-9  # The stretch of triangles below this fraction of the mean area is rounding noise.
 PERCENTILES = 95.0, 99.0
@@ -22,6 +23,7 @@ IMPORTANCE_BINS = 4
 NEUTRAL, STRETCHED, COMPRESSED = np.array([0.93, 0.93, 0.90]), np.array([0.75, 0.10, 0.08]), np.array([0.10, 0.28, 0.70])
 SATURATION_STRETCH = 2.0  # Stretch, or its inverse, that gets the full color.
 BACKGROUND = 0.16
+TILE_TOLERANCE = 1e-3  # UVs may exceed a tile by so much without belonging to the next one.
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,8 @@ class DistortionMetrics:
         flips: Number of flipped triangles.
         overlaps: Number of overlapping pairs of triangles.
         min_quality: Minimum height-to-base ratio of UV triangles.
-        fill: Covered fraction of the unit square.
+        fill: Covered fraction of the UDIM tiles in use.
+        texel_density: Texels per meter on the surface, on average.
         densities: Texel density over the mean density, for triangles with importance in the first to the fourth quarter of 0..1; 0
             for empty quarters.
         density_ratio: Texel density of triangles with an importance above 0.5 over that of the others; 0 where either set is empty.
@@ -87,6 +90,7 @@ class DistortionMetrics:
     overlaps: int
     min_quality: float
     fill: float
+    texel_density: float
     densities: tuple[float, ...]
     density_ratio: float
 
@@ -114,9 +118,19 @@ def compute_stretches(mesh: TriangleMesh, corner_uvs: np.ndarray) -> Steps[Stret
 
 
 def measure_distortion(
-    mesh: TriangleMesh, corner_uvs: np.ndarray, stretches: Stretches, importance: np.ndarray
+    mesh: TriangleMesh,
+    corner_uvs: np.ndarray,
+    stretches: Stretches,
+    importance: np.ndarray,
+    texture: Texture | None = None,
+    unit_length: float = 1.0,
+    tile_count: int = 1,
 ) -> Steps[DistortionMetrics]:
-    """Return all metrics of the UV map `corner_uvs` (T, 3, 2) of `mesh`, from its `stretches` and `importance` (T,), 0 to 1."""
+    """Return all metrics of the UV map `corner_uvs` (T, 3, 2) of `mesh`, from its `stretches` and `importance` (T,), 0 to 1.
+
+    texture: that the map is made for. unit_length: of a unit of `mesh`, in meters. tile_count: UDIM tiles of the map.
+    """
+    texture = texture or Texture()
     areas, _ = face_areas_and_normals(mesh.corners)
     measurable = areas > NEGLIGIBLE_AREA * areas.mean()
     weights = areas[measurable] / areas[measurable].sum()
@@ -143,8 +157,9 @@ def measure_distortion(
         needles=float(used_texture[stretches.is_needle[measurable]].sum()),
         flips=int(stretches.is_flipped.sum()),
         overlaps=overlaps,
-        min_quality=float(min_height_to_base(corner_uvs).min()),
-        fill=float(uv_areas.sum()),
+        min_quality=float(min_height_to_base(corner_uvs * texture.aspect).min()),
+        fill=float(uv_areas.sum()) / tile_count,
+        texel_density=compute_texel_density(corner_uvs, float(areas.sum()) * unit_length**2, texture),
         densities=_compute_densities(uv_areas, areas, importance),
         density_ratio=compute_density_ratio(uv_areas, areas, importance),
     )
@@ -173,5 +188,9 @@ def stretch_colors(stretches: np.ndarray) -> np.ndarray:
 
 
 def draw_stretch_image(corner_uvs: np.ndarray, stretches: np.ndarray, resolution: int) -> np.ndarray:
-    """Return an image (resolution, resolution, 3), sRGB, of a UV map `corner_uvs` (T, 3, 2), colored by `stretches` (T,)."""
-    return fill_triangles(np.asarray(corner_uvs, np.float64) * resolution, stretch_colors(stretches), (resolution, resolution), BACKGROUND)
+    """Return an image (resolution, resolution, 3), sRGB, of a UV map `corner_uvs` (T, 3, 2), colored by `stretches` (T,).
+
+    It shows the unit square, or the square around all UDIM tiles.
+    """
+    scale = resolution / max(np.ceil(corner_uvs.max(initial=1.0) - TILE_TOLERANCE), 1.0)
+    return fill_triangles(np.asarray(corner_uvs, np.float64) * scale, stretch_colors(stretches), (resolution, resolution), BACKGROUND)

@@ -1,37 +1,89 @@
-"""Packs charts into the UV square without changing their relative scale."""
+"""Packs charts into the tiles of a texture without changing their relative scale."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from ..arrays import TINY
 from ..geometry.convex_hulls import convex_hull
-from .raster_packing import Placement, place_charts
+from ..jobs.progress import Steps
+from .raster_packing import Placement, RasterGrid, place_charts
+from .texture import Texture, tile_origins
 
-PACKING_RESOLUTION = 1024  # Texels per side of the square that xatlas packs into.
-MAX_CHARTS_AS_RASTERS = 1000
-MAX_CHART_SIDE = 8 * PACKING_RESOLUTION  # Texels; the time of xatlas grows with the bounding boxes of charts, however thin they are.
+XATLAS_SIDE = 1024  # Texels per side of the square that xatlas packs into.
+XATLAS_PADDING = 1.25  # That square may become larger, and the margin smaller with it.
+MAX_CHARTS_AS_RASTERS = 1000  # More are packed by xatlas, which is faster but packs into one square only;
+MAX_CHARTS_WITHOUT_XATLAS = 5000  # the limit for other textures.
+MAX_CHART_SIDE = 8 * XATLAS_SIDE  # Texels; the time of xatlas grows with the bounding boxes of charts, however thin they are.
+QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])  # Turns rows of coordinates counter-clockwise.
 
 
-def pack_charts(uvs: list[np.ndarray], triangles: list[np.ndarray], margin: float) -> list[np.ndarray]:
-    """Return the `uvs` (V, 2) of charts, rotated and moved apart, and scaled by one common factor to fill the unit square.
+@dataclass(frozen=True)
+class Packing:
+    """Packed charts.
 
-    triangles: (T, 3) of each chart. margin: margin around each chart, as a fraction of the side of the square.
+    Attributes:
+        uvs: (V, 2) of each chart, in UDIM tiles of side 1.
+        density: Texels per unit of length.
+        tile_count: Number of used tiles.
+    """
+
+    uvs: list[np.ndarray]
+    density: float
+    tile_count: int
+
+
+def pack_charts(uvs: Sequence[np.ndarray], triangles: Sequence[np.ndarray], texture: Texture) -> Steps[Packing]:
+    """Return the `uvs` (V, 2) of charts, rotated, moved apart, and scaled by one common factor to fill a texture.
+
+    triangles: (T, 3) of each chart.
     """
     oriented = [orient(uv) for uv in uvs]
-    if len(oriented) > 1:
-        placed = place_charts(oriented, triangles, margin) if len(oriented) <= MAX_CHARTS_AS_RASTERS else None
-        oriented = (
-            _pack_with_xatlas(oriented, triangles, margin)
-            if placed is None
-            else [_move(uv, placement) for uv, placement in zip(oriented, placed[0], strict=True)]
-        )
-    low = np.min([uv.min(axis=0) for uv in oriented], axis=0)
-    high = np.max([uv.max(axis=0) for uv in oriented], axis=0)
-    scale = (1.0 - 2.0 * margin) / float((high - low).max())
-    return [margin + scale * (uv - low) for uv in oriented]
+    grid = RasterGrid.of_tile(texture.inside, texture.margin)
+    is_square = texture.size[0] == texture.size[1] and texture.max_tiles == 1
+    if len(oriented) > (MAX_CHARTS_AS_RASTERS if is_square else MAX_CHARTS_WITHOUT_XATLAS):
+        return _arrange(_pack_with_xatlas(oriented, triangles, texture.margin / max(texture.size)), [0] * len(oriented), texture)
+    placed = yield from place_charts(oriented, triangles, grid)
+    packing = _arrange_placed(oriented, triangles, placed, texture)
+    if texture.max_tiles == 1 or 0.0 < texture.density <= packing.density:
+        return packing
+    if texture.density > 0.0:
+        placed = yield from place_charts(oriented, triangles, grid, texture.max_tiles, texture.density)
+        if placed is not None:
+            return _arrange_placed(oriented, triangles, placed, texture)
+    placed = yield from place_charts(oriented, triangles, grid, texture.max_tiles)
+    return packing if placed is None else _arrange_placed(oriented, triangles, placed, texture)
+
+
+def _arrange_placed(
+    oriented: list[np.ndarray], triangles: Sequence[np.ndarray], placed: list[Placement] | None, texture: Texture
+) -> Packing:
+    """Return the packing of charts that have been placed as rasters; by xatlas where they did not fit."""
+    if placed is None:
+        return _arrange(_pack_with_xatlas(oriented, triangles, texture.margin / max(texture.size)), [0] * len(oriented), texture)
+    moved = [_move(uv, placement) for uv, placement in zip(oriented, placed, strict=True)]
+    return _arrange(moved, [placement.tile for placement in placed], texture)
+
+
+def _arrange(moved: list[np.ndarray], tiles: list[int], texture: Texture) -> Packing:
+    """Return the packing of charts that have been moved apart, uv (V, 2) of each, in the lower left corner of their `tiles`."""
+    count = max(tiles) + 1
+    low, high = np.full((count, 2), np.inf), np.full((count, 2), -np.inf)
+    for tile, uv in zip(tiles, moved, strict=True):
+        low[tile], high[tile] = np.minimum(low[tile], uv.min(axis=0)), np.maximum(high[tile], uv.max(axis=0))
+    density = float((texture.inside / np.maximum((high - low).max(axis=0), TINY)).min())
+    if texture.density > 0.0:
+        density = min(density, texture.density)
+    corner = 0.5 * (np.array(texture.size) - texture.inside)
+    origins = tile_origins(count)
+    uvs = [origins[tile] + (corner + density * (uv - low[tile])) / texture.size for tile, uv in zip(tiles, moved, strict=True)]
+    return Packing(uvs, density, count)
 
 
 def _move(uv: np.ndarray, placement: Placement) -> np.ndarray:
     """Return `uv` (V, 2), turned and moved to a placement."""
-    turned = uv @ np.linalg.matrix_power(np.array([[0.0, 1.0], [-1.0, 0.0]]), placement.turns)
+    turned = uv @ np.linalg.matrix_power(QUARTER_TURN, placement.turns)
     return turned - turned.min(axis=0) + placement.corner
 
 
@@ -44,21 +96,21 @@ def orient(uv: np.ndarray) -> np.ndarray:
     extents = np.ptp(rotations @ hull.T, axis=2)
     best = int(extents.prod(axis=1).argmin())
     rotated = uv @ rotations[best].T
-    return rotated if extents[best, 0] >= extents[best, 1] else rotated @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+    return rotated if extents[best, 0] >= extents[best, 1] else rotated @ QUARTER_TURN
 
 
-def _pack_with_xatlas(uvs: list[np.ndarray], triangles: list[np.ndarray], margin: float) -> list[np.ndarray]:
+def _pack_with_xatlas(uvs: list[np.ndarray], triangles: Sequence[np.ndarray], margin: float) -> list[np.ndarray]:
     """Return the charts moved apart by xatlas, which packs silhouettes texel by texel.
 
     Only translations are taken from xatlas: its coordinates are single precision, and its rotations may mirror a chart. It gets texels as
-    units, because it never ends where the squares of coordinates are infinite.
+    units, because it never ends where the squares of coordinates are infinite. margin: relative to the side of the square.
     """
     import xatlas  # Here, so that importing the core needs only NumPy and SciPy.
 
     extents = np.array([np.ptp(uv, axis=0) for uv in uvs])
-    texel_size = max(float(np.sqrt(extents.prod(axis=1).sum())) / PACKING_RESOLUTION, float(extents.max()) / MAX_CHART_SIDE)
+    texel_size = max(float(np.sqrt(extents.prod(axis=1).sum())) / XATLAS_SIDE, float(extents.max()) / MAX_CHART_SIDE)
     options = xatlas.PackOptions()
-    options.resolution, options.padding = 0, int(np.ceil(margin * PACKING_RESOLUTION))
+    options.resolution, options.padding = 0, int(np.ceil(XATLAS_PADDING * margin * XATLAS_SIDE))
     options.texels_per_unit = 1.0
     options.rotate_charts = options.rotate_charts_to_axis = False
     atlas = xatlas.Atlas()

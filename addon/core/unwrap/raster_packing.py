@@ -1,8 +1,9 @@
-"""Packs charts into a square by their rasters: each is turned by quarters and placed where the square grows least.
+"""Packs charts into the tiles of a texture by their rasters: each is turned by quarters and placed where the used rectangle grows least.
 
-Where a chart fits is the correlation of its raster with the occupied texels, by fast Fourier transforms.
+Where a chart fits is the correlation of its raster with the occupied cells, by fast Fourier transforms.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,119 +11,201 @@ from scipy import fft, ndimage
 
 from ..geometry.transforms import signed_areas
 from ..imaging.raster import rasterize
+from ..jobs.progress import Progress, Steps
 from .cutting.boundaries import boundary_edges
 
-GRID_SIDE = 320  # Texels per side of what charts are placed in; the packed square is smaller.
-EXPECTED_FILLS = 0.6, 0.4, 0.25, 0.15, 0.08  # Fractions of the grid that charts cover; the next is tried where they find no place.
-MAX_RASTER_FILL = 0.75  # Fraction of the grid above which the rasters hardly ever fit.
+GRID_SIDE = 320  # Cells per side of a square tile that charts are placed in; the packed square is smaller.
+MAX_ASPECT = 8.0  # Square root of the largest ratio of the sides of a tile.
+EXPECTED_FILLS = 0.6, 0.4, 0.25, 0.15, 0.08  # Fractions of the tiles that charts cover; the next is tried where they find no place.
+MAX_RASTER_FILL = 0.75  # Fraction of the tiles above which the rasters hardly ever fit.
 MAX_CHARTS_IN_ALL_ORDERS = 24  # Charts are placed by decreasing bounding box, and up to this number also by length and by area.
-SAMPLES_PER_TEXEL = 2.0  # Along boundary edges.
-MAX_TEXELS_BY_SHIFTING = 64  # Rasters with fewer texels are tested by shifting, which is faster than a transform.
+SAMPLES_PER_CELL = 2.0  # Along boundary edges.
+MAX_CELLS_BY_SHIFTING = 64  # Rasters with fewer cells are tested by shifting, which is faster than a transform.
+CHARTS_PER_YIELD = 16
 
 
 @dataclass(frozen=True)
 class Placement:
-    """Quarter turns counter-clockwise of a chart, and where the lower left corner (2,) of its bounding box goes, in the unit of its uv."""
+    """Where a chart goes: tile, quarter turns counter-clockwise, and the lower left corner (2,) of its bounding box, in the unit of uv."""
 
+    tile: int
     turns: int
     corner: np.ndarray
 
 
-def place_charts(uvs: list[np.ndarray], triangles: list[np.ndarray], margin: float) -> tuple[list[Placement], float] | None:
-    """Return the placements of charts, and the side of the square that they fill; None where they do not fit into the grid.
+@dataclass(frozen=True)
+class RasterGrid:
+    """The cells of a tile that charts are placed in. gap: cells between charts. cell_texels: side of a cell, in texels."""
+
+    rows: int
+    columns: int
+    gap: int
+    cell_texels: float
+
+    @classmethod
+    def of_tile(cls, size: np.ndarray, margin: float) -> "RasterGrid":
+        """Return the grid of a tile of `size` (2,), width and height, with at least `margin` between charts, all in texels."""
+        aspect = float(np.clip(np.sqrt(size[0] / size[1]), 1.0 / MAX_ASPECT, MAX_ASPECT))
+        columns, rows = round(GRID_SIDE * aspect), round(GRID_SIDE / aspect)
+        cell_texels = float(min(size[0] / columns, size[1] / rows))
+        return cls(rows, columns, int(np.ceil(margin / cell_texels - 1e-6)), cell_texels)
+
+
+@dataclass(frozen=True)
+class _Raster:
+    """The cells (H, W) bool of a chart, from `border` cells outside of its bounding box: those it covers, and those it keeps free."""
+
+    covered: np.ndarray
+    kept_free: np.ndarray
+
+    def turned(self, turns: int) -> "_Raster":
+        return _Raster(np.rot90(self.covered, -turns), np.rot90(self.kept_free, -turns))  # Rows run upwards.
+
+
+def place_charts(
+    uvs: Sequence[np.ndarray], triangles: Sequence[np.ndarray], grid: RasterGrid, max_tiles: int = 1, density: float = 0.0
+) -> Steps[list[Placement] | None]:
+    """Return the placements of charts in tiles; None where they do not fit.
 
     Args:
-        uvs: (V, 2) of each chart. triangles: (T, 3) of each chart.
-        margin: distance of charts, relative to the side of the square.
+        uvs: (V, 2) of each chart.
+        triangles: (T, 3) of each chart.
+        grid: of each tile.
+        density: texels per unit of uv; tiles are then filled one after the other. 0: as many as possible; charts are then placed where
+            the rectangle that all tiles need grows least.
     """
     extents = np.array([np.ptp(uv, axis=0) for uv in uvs])
     area = sum(float(np.abs(signed_areas(uv[faces])).sum()) for uv, faces in zip(uvs, triangles, strict=True))
-    distance, packings = int(np.ceil(margin * 0.8 * GRID_SIDE - 0.25)), []
-    for fill in EXPECTED_FILLS:
-        texel = max(float(np.sqrt(area / fill)) / GRID_SIDE, float(extents.max()) / (0.9 * GRID_SIDE))
-        texels = area / texel**2 + (1 + 2 * distance) * float(extents.sum()) / texel  # Covered ones and those at boundaries, approximately.
-        if texels > MAX_RASTER_FILL * GRID_SIDE**2:
+    shape = np.array([grid.columns, grid.rows])
+    min_cell = float(np.minimum((extents / shape).max(axis=1), (extents / shape[::-1]).max(axis=1)).max())
+    cells = [max(float(np.sqrt(area / max_tiles / fill)) / GRID_SIDE, min_cell / 0.9) for fill in EXPECTED_FILLS]
+    if density > 0.0:
+        cells = [grid.cell_texels / density] if min_cell * density <= grid.cell_texels else []
+    for cell in cells:
+        expected = area / cell**2 + (1 + grid.gap) * float(extents.sum()) / cell  # Covered cells and those at boundaries, approximately.
+        if expected > MAX_RASTER_FILL * GRID_SIDE**2 * max_tiles and density == 0.0:
             continue
-        rasters = [_rasterize((uv - uv.min(axis=0)) / texel, faces, distance) for uv, faces in zip(uvs, triangles, strict=True)]
-        shapes = np.array([raster.shape for raster in rasters])
-        sizes = shapes.prod(axis=1), shapes.max(axis=1), np.array([raster.sum() for raster in rasters])
+        border = (grid.gap + 1) // 2
+        rasters = [_rasterize((uv - uv.min(axis=0)) / cell, faces, grid.gap) for uv, faces in zip(uvs, triangles, strict=True)]
+        shapes = np.array([raster.covered.shape for raster in rasters])
+        sizes = shapes.prod(axis=1), shapes.max(axis=1), np.array([raster.kept_free.sum() for raster in rasters])
+        packings = []
         for size in sizes[: 1 if len(uvs) > MAX_CHARTS_IN_ALL_ORDERS else 3]:
-            packing = _place(rasters, np.argsort(-size, kind="stable"))
-            if packing is None:
+            tiles = _Tiles(grid, border if density > 0.0 else 0, max_tiles, density > 0.0)
+            placed = yield from tiles.place_all(rasters, np.argsort(-size, kind="stable"))
+            if not placed:
                 break
-            packings.append(packing)
+            packings.append((len(tiles.occupied), tiles.side, placed))
         if packings:
-            break
-    if not packings:
-        return None
-    found, _ = min(packings, key=lambda packing: packing[1])
-    placements = [Placement(turns, texel * (np.array([column, row]) + distance)) for turns, row, column in found]
-    corners = np.array([placement.corner for placement in placements])
-    turned = np.array([extent[::-1] if placement.turns % 2 else extent for extent, placement in zip(extents, placements, strict=True)])
-    return placements, float((corners + turned).max() - corners.min())
+            *_, placed = min(packings, key=lambda packing: packing[:2])
+            return [Placement(tile, turns, cell * (np.array([column, row]) + border)) for tile, turns, row, column in placed]
+    return None
 
 
-def _rasterize(uv: np.ndarray, triangles: np.ndarray, distance: int) -> np.ndarray:
-    """Return which texels (H, W) a chart touches, bool, widened by `distance` texels. uv: (V, 2) in texels, from 0."""
+def _rasterize(uv: np.ndarray, triangles: np.ndarray, gap: int) -> _Raster:
+    """Return the cells that a chart covers, and those that it keeps free so that `gap` cells are between it and others.
+
+    uv: (V, 2) in cells, from 0.
+    """
     width, height = (int(extent) + 1 for extent in uv.max(axis=0))
-    raster = np.zeros((height + 2 * distance, width + 2 * distance), bool)
     inside = np.zeros(width * height, bool)
-    for _, texels, _ in rasterize(uv[triangles], (width, height)):
-        inside[texels] = True
+    for _, cells, _ in rasterize(uv[triangles], (width, height)):
+        inside[cells] = True
     starts, ends = uv[boundary_edges(triangles)].transpose(1, 0, 2)
-    counts = np.ceil(SAMPLES_PER_TEXEL * np.abs(ends - starts).max(axis=1)).astype(int) + 1
+    counts = np.ceil(SAMPLES_PER_CELL * np.abs(ends - starts).max(axis=1)).astype(int) + 1
     edge = np.repeat(np.arange(len(starts)), counts)
     t = (np.arange(len(edge)) - np.repeat(np.cumsum(counts) - counts, counts)) / np.maximum(counts[edge] - 1, 1)
     columns, rows = (starts[edge] + t[:, None] * (ends - starts)[edge]).astype(int).T
     inside[rows * width + columns] = True
-    raster[distance : distance + height, distance : distance + width] = inside.reshape(height, width)
-    return ndimage.binary_dilation(raster, np.ones((3, 3), bool), iterations=distance) if distance else raster
+    raster = np.pad(inside.reshape(height, width), (gap + 1) // 2)
+    return _Raster(_widen(raster, gap // 2), _widen(raster, (gap + 1) // 2))
 
 
-def _place(rasters: list[np.ndarray], order: np.ndarray) -> tuple[list[tuple[int, int, int]], int] | None:
-    """Return quarter turns, row and column of each raster, placed in `order`, and the side of the square; None where they do not fit."""
-    occupied = np.zeros((GRID_SIDE, GRID_SIDE), np.float32)
-    rows, columns = np.arange(GRID_SIDE)[:, None], np.arange(GRID_SIDE)
-    placed, side = [(0, 0, 0)] * len(rasters), 0
-    for index in order.tolist():
-        transform, best = None, (np.inf, 0, 0, 0)
-        for turns in range(4):
-            raster = np.rot90(rasters[index], -turns)  # Rows run upwards.
-            if turns >= 2 and np.array_equal(raster, np.rot90(raster, 2)):
+def _widen(raster: np.ndarray, distance: int) -> np.ndarray:
+    return ndimage.maximum_filter(raster, 2 * distance + 1, mode="constant") if distance else raster
+
+
+class _Tiles:
+    """Tiles in which charts are placed.
+
+    Attributes:
+        occupied: (rows, columns) float32 of each tile, 0 where it is free.
+        side: of the used rectangle in all tiles, relative to that of a tile, times `GRID_SIDE`.
+    """
+
+    def __init__(self, grid: RasterGrid, border: int, max_count: int, one_by_one: bool) -> None:
+        """Prepare empty tiles with a `border` of cells around `grid`.
+
+        one_by_one: place a chart in the first tile where it fits, instead of where all tiles grow least.
+        """
+        self._shape = grid.rows + 2 * border, grid.columns + 2 * border
+        self._padded = tuple(fft.next_fast_len(side, real=True) for side in self._shape)
+        self._rows, self._columns = np.arange(self._shape[0])[:, None], np.arange(self._shape[1])
+        self._scale = GRID_SIDE / grid.rows, GRID_SIDE / grid.columns
+        self._max_count, self._one_by_one = max_count, one_by_one
+        self._transforms: dict[int, np.ndarray] = {}
+        self.occupied: list[np.ndarray] = []
+        self.side = 0.0
+
+    def place_all(self, rasters: list[_Raster], order: np.ndarray) -> Steps[list[tuple[int, int, int, int]]]:
+        """Return tile, quarter turns, row and column of each raster, placed in `order`; nothing where they do not fit."""
+        placed = [(0, 0, 0, 0)] * len(rasters)
+        for count, index in enumerate(order.tolist()):
+            if count % CHARTS_PER_YIELD == 0:
+                yield Progress(count / len(rasters), "Packing")
+            place = self._find_place(rasters[index])
+            if place is None:
+                return []
+            placed[index] = place
+        return placed
+
+    def _find_place(self, raster: _Raster) -> tuple[int, int, int, int] | None:
+        """Occupy the cells of the best place for a raster, and return tile, quarter turns, row and column; None if there is none."""
+        best, place = np.inf, None
+        for tile in range(min(len(self.occupied) + 1, self._max_count)):
+            if self._one_by_one and place is not None:
                 break
-            height, width = raster.shape
-            if max(height, width) > GRID_SIDE:
-                continue
-            if raster.sum() <= MAX_TEXELS_BY_SHIFTING:
-                is_free = _find_free_by_shifting(occupied, raster)
-            else:
-                transform = fft.rfft2(occupied) if transform is None else transform
-                is_free = _find_free(transform, raster)
-            cost = np.maximum(np.maximum(rows[: is_free.shape[0]] + height, columns[: is_free.shape[1]] + width), side)
-            cost = np.where(is_free, GRID_SIDE * cost + 0.5 * (rows[: is_free.shape[0]] + columns[: is_free.shape[1]]), np.inf)
-            position = int(cost.argmin())
-            if cost.flat[position] < best[0]:
-                best = float(cost.flat[position]), turns, *divmod(position, is_free.shape[1])
-        if not np.isfinite(best[0]):
+            if tile == len(self.occupied):
+                self.occupied.append(np.zeros(self._shape, np.float32))
+            for turns in range(4):
+                turned = raster.turned(turns)
+                if turns >= 2 and np.array_equal(turned.covered, np.rot90(turned.covered, 2)):
+                    break
+                cost = self._costs(tile, turned)
+                if cost.size and cost.min() < best:
+                    position = int(cost.argmin())
+                    best, place = float(cost.flat[position]), (tile, turns, *divmod(position, cost.shape[1]))
+        if place is None:
             return None
-        _, turns, row, column = best
-        raster = np.rot90(rasters[index], -turns)
-        height, width = raster.shape
-        occupied[row : row + height, column : column + width] += raster
-        placed[index], side = (turns, row, column), max(side, row + height, column + width)
-    return placed, side
+        tile, turns, row, column = place
+        if not self.occupied[-1].any() and tile < len(self.occupied) - 1:
+            self.occupied.pop()
+        kept_free = raster.turned(turns).kept_free
+        height, width = kept_free.shape
+        self.occupied[tile][row : row + height, column : column + width] += kept_free
+        self._transforms.pop(tile, None)
+        self.side = max(self.side, self._scale[0] * (row + height), self._scale[1] * (column + width))
+        return place
 
+    def _costs(self, tile: int, raster: _Raster) -> np.ndarray:
+        """Return the cost (R, C) of placing a raster at each row and column of a tile: infinite where it overlaps another one."""
+        height, width = raster.covered.shape
+        if height > self._shape[0] or width > self._shape[1]:
+            return np.zeros((0, 0))
+        rows, columns = self._rows[: self._shape[0] - height + 1], self._columns[: self._shape[1] - width + 1]
+        cost = np.maximum(np.maximum(self._scale[0] * (rows + height), self._scale[1] * (columns + width)), self.side)
+        cost = GRID_SIDE * cost + 0.5 * (self._scale[0] * rows + self._scale[1] * columns)
+        return np.where(self._find_free(tile, raster.covered), cost, np.inf)
 
-def _find_free(transform: np.ndarray, raster: np.ndarray) -> np.ndarray:
-    """Return at which rows and columns a raster (H, W) overlaps nothing. transform: of the occupied texels."""
-    overlap = fft.irfft2(transform * np.conj(fft.rfft2(raster.astype(np.float32), (GRID_SIDE, GRID_SIDE))), (GRID_SIDE, GRID_SIDE))
-    return overlap[: GRID_SIDE - raster.shape[0] + 1, : GRID_SIDE - raster.shape[1] + 1] < 0.5
-
-
-def _find_free_by_shifting(occupied: np.ndarray, raster: np.ndarray) -> np.ndarray:
-    height, width = GRID_SIDE - raster.shape[0] + 1, GRID_SIDE - raster.shape[1] + 1
-    is_taken = np.zeros((height, width), bool)
-    is_occupied = occupied > 0.0
-    for row, column in np.argwhere(raster):
-        is_taken |= is_occupied[row : row + height, column : column + width]
-    return ~is_taken
+    def _find_free(self, tile: int, covered: np.ndarray) -> np.ndarray:
+        """Return at which rows and columns of a tile the cells `covered` (H, W) by a raster are free."""
+        height, width = (side - length + 1 for side, length in zip(self._shape, covered.shape, strict=True))
+        if covered.sum() <= MAX_CELLS_BY_SHIFTING:
+            is_taken, is_occupied = np.zeros((height, width), bool), self.occupied[tile] > 0.0
+            for row, column in np.argwhere(covered):
+                is_taken |= is_occupied[row : row + height, column : column + width]
+            return ~is_taken
+        if tile not in self._transforms:
+            self._transforms[tile] = fft.rfft2(self.occupied[tile], self._padded)
+        overlap = fft.irfft2(self._transforms[tile] * np.conj(fft.rfft2(covered.astype(np.float32), self._padded)), self._padded)
+        return overlap[:height, :width] < 0.5

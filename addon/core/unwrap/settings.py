@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from ..settings import Choice, Settings, Unit, setting
+from .texture import Texture
 
 IMPORTANCE = {
     "uniform": Choice("Uniform", "The same texel density everywhere"),
@@ -61,7 +62,29 @@ class UnwrapSettings(Settings):
     islands: str = setting("creases", "How the surface is divided into UV islands", choices=ISLANDS)
     further_cuts: bool = setting(True, "Also cut strongly distorted parts. When off, parts are only cut where necessary")
     boundary: str = setting("free", "Shape of the boundary of each UV island", choices=BOUNDARIES)
-    margin: float = setting(
-        0.004, "Margin around each UV island, relative to the side of the UV square", minimum=0.0, maximum=0.1, unit=Unit.FRACTION
+    texture_size: tuple = setting(
+        (2048, 2048),
+        "Width and height of the texture in pixels. UV islands keep their proportions on a texture that is not square",
+        minimum=16,
+        maximum=32768,
     )
+    margin: int = setting(
+        8,
+        "Minimum distance of UV islands from each other and from the border, in pixels of the texture",
+        minimum=0,
+        maximum=512,
+        unit=Unit.PIXELS,
+    )
+    texel_density: float = setting(
+        0.0,
+        "Pixels per meter on the surface, on average. 0 fills the texture. It is lowered where the UV islands do not fit",
+        minimum=0.0,
+        maximum=1e6,
+    )
+    max_tiles: int = setting(1, "Maximum number of UDIM tiles, with the UDIM numbers 1001, 1002 and so on", minimum=1, maximum=100)
     uv_map: str = setting("Unwrap", "Name of the UV map, created if missing")
+
+    @property
+    def texture(self) -> Texture:
+        """What UV islands are packed into, with as many texels per unit of length as fit."""
+        return Texture(size=self.texture_size, margin=self.margin, max_tiles=self.max_tiles)

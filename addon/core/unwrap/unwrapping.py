@@ -1,7 +1,7 @@
 """Unwraps a surface: cuts it into charts, parameterizes and packs them, and measures the resulting UV map."""
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,11 +19,12 @@ from .cutting.regions import divide_at_creases
 from .distortion import DistortionMetrics, Stretches, compute_stretches, measure_distortion
 from .dividing import divide_long_pieces
 from .merging import merge_islands
-from .packing import pack_charts
+from .packing import Packing, pack_charts
 from .parameterization.developable import unfold_developable
 from .parameterization.mild import flatten_mild
 from .parameterization.parameterize import Balance, Boundary, DistortionError, parameterize
 from .settings import UnwrapSettings
+from .texture import Texture
 
 CUTTING_END, PARAMETERIZATION_END, PACKING_END = 0.1, 0.9, 0.95  # Fractions of the progress bar.
 MAX_CUT_ROUNDS = 2  # In each a chart is cut towards all its most distorted parts; in the second one only where it is poor or has needles.
@@ -42,10 +43,11 @@ class UnwrapResult:
     """A UV map.
 
     Attributes:
-        corner_uvs: (T, 3, 2) float64 in the unit square.
+        corner_uvs: (T, 3, 2) float64 in UDIM tiles of side 1, the first one at the origin.
         stretches: Stretch of each triangle.
         metrics: Quality of the map.
         chart_count: Number of charts.
+        tile_count: Number of UDIM tiles.
         seconds: Run time per stage.
     """
 
@@ -53,11 +55,18 @@ class UnwrapResult:
     stretches: Stretches
     metrics: DistortionMetrics
     chart_count: int
+    tile_count: int
     seconds: dict[str, float]
 
 
 def unwrap(
-    mesh: TriangleMesh, polygon_ids: np.ndarray, seams: np.ndarray, importance: np.ndarray, settings: UnwrapSettings, name: str = "mesh"
+    mesh: TriangleMesh,
+    polygon_ids: np.ndarray,
+    seams: np.ndarray,
+    importance: np.ndarray,
+    settings: UnwrapSettings,
+    name: str = "mesh",
+    unit_length: float = 1.0,
 ) -> Steps[UnwrapResult]:
     """Return the UV map of `mesh`, in world space.
 
@@ -65,6 +74,8 @@ def unwrap(
         polygon_ids: (T,) the polygon of each triangle; polygons are never cut.
         seams: (S, 2) vertices of edges that are always cut.
         importance: (T,) 0 to 1.
+        name: of the object, for errors.
+        unit_length: of a unit of `mesh`, in meters.
 
     Raises:
         GeometryError: see `check_surface`; or a part cannot be parameterized.
@@ -88,21 +99,24 @@ def unwrap(
     charts, uvs = [cut for cut, _ in regions] + charts, [uv for _, uv in regions] + uvs
     seconds["parameterize"], started = time.perf_counter() - started, time.perf_counter()
     yield Progress(PARAMETERIZATION_END, "Packing")
+    texture = replace(settings.texture, density=_texels_per_uv(charts, uvs, settings.texel_density * unit_length))
     if follows_creases:
-        steps = _merge_and_pack(surface, charts, uvs, halfedges, settings.margin)
-        charts, uvs = yield from subprogress(steps, PARAMETERIZATION_END, PACKING_END)
+        steps = _merge_and_pack(surface, charts, uvs, halfedges, texture)
+        charts, packing = yield from subprogress(steps, PARAMETERIZATION_END, PACKING_END)
     else:
-        uvs = pack_charts(uvs, [cut.chart.triangles for cut in charts], settings.margin)
+        steps = pack_charts(uvs, [cut.chart.triangles for cut in charts], texture)
+        packing = yield from subprogress(steps, PARAMETERIZATION_END, PACKING_END)
     corner_uvs = np.empty((len(mesh.triangles), 3, 2))
-    for cut, uv in zip(charts, uvs, strict=True):
+    for cut, uv in zip(charts, packing.uvs, strict=True):
         corner_uvs[cut.triangle_indices] = uv[cut.chart.triangles]
     seconds["pack"], started = time.perf_counter() - started, time.perf_counter()
     yield Progress(PACKING_END, "Measuring")
-    stretches = yield from subprogress(compute_stretches(mesh, corner_uvs), PACKING_END, PACKING_END)
+    stretches = yield from subprogress(compute_stretches(mesh, corner_uvs * texture.aspect), PACKING_END, PACKING_END)
     yield Progress(PACKING_END, "Measuring")
-    metrics = yield from subprogress(measure_distortion(mesh, corner_uvs, stretches, importance), PACKING_END, 1.0)
+    steps = measure_distortion(mesh, corner_uvs, stretches, importance, texture, unit_length, packing.tile_count)
+    metrics = yield from subprogress(steps, PACKING_END, 1.0)
     seconds["measure"] = time.perf_counter() - started
-    return UnwrapResult(corner_uvs, stretches, metrics, len(charts), seconds)
+    return UnwrapResult(corner_uvs, stretches, metrics, len(charts), packing.tile_count, seconds)
 
 
 def _follows_creases(settings: UnwrapSettings) -> bool:
@@ -111,9 +125,9 @@ def _follows_creases(settings: UnwrapSettings) -> bool:
 
 
 def _merge_and_pack(
-    surface: Chart, charts: list[CutChart], uvs: list[np.ndarray], halfedges: np.ndarray, margin: float
-) -> Steps[tuple[list[CutChart], list[np.ndarray]]]:
-    """Return charts and uvs, merged across common borders and packed: smaller ones if they fill the square better than they add seams."""
+    surface: Chart, charts: list[CutChart], uvs: list[np.ndarray], halfedges: np.ndarray, texture: Texture
+) -> Steps[tuple[list[CutChart], Packing]]:
+    """Return charts, merged across common borders, and their packing: smaller ones if they fill the texture better than they add seams."""
     corner_uvs, labels = np.empty((len(surface.triangles), 3, 2)), np.empty(len(surface.triangles), np.int64)
     for index, (cut, uv) in enumerate(zip(charts, uvs, strict=True)):
         corner_uvs[cut.triangle_indices] = uv[cut.chart.triangles]
@@ -130,11 +144,12 @@ def _merge_and_pack(
             merged_uvs.append(uv / np.bincount(chart.triangles.ravel())[:, None])
             merged.append(CutChart(chart, members, True))
         yield Progress(1.0, "Packing")
-        packed = pack_charts(merged_uvs, [cut.chart.triangles for cut in merged], margin)
-        fill = sum(float(signed_areas(uv[cut.chart.triangles]).sum()) for cut, uv in zip(merged, packed, strict=True))
+        packing = yield from pack_charts(merged_uvs, [cut.chart.triangles for cut in merged], texture)
+        areas = [float(signed_areas(uv[cut.chart.triangles]).sum()) for cut, uv in zip(merged, packing.uvs, strict=True)]
+        fill = sum(areas) / packing.tile_count
         seam = float(lengths[~is_sewn].sum())
         if best is None or fill > best_fill * max(MIN_FILL_GAIN, seam / best_seam):
-            best, best_fill, best_seam = (merged, packed), fill, seam
+            best, best_fill, best_seam = (merged, packing), fill, seam
         if fill > GOOD_FILL or len(merged) > MAX_ISLANDS_FOR_CHOICE or len(merged) == len(charts):
             break
     return best
@@ -219,6 +234,13 @@ def _measure_chart(chart: Chart, uv: np.ndarray) -> Steps[tuple[float, float]]:
         products = (weights @ (largest + smallest)) * (weights @ (1.0 / largest + 1.0 / smallest))
     excess = 0.5 * float(np.sqrt(products) / weights.sum()) - 1.0
     return float(areas[stretches.is_needle].sum() / areas.sum()), excess
+
+
+def _texels_per_uv(charts: list[CutChart], uvs: list[np.ndarray], density: float) -> float:
+    """Return the texels per unit of the `uvs` (V, 2) of charts that give the surface `density` texels per unit of length, on average."""
+    areas = [float(face_areas_and_normals(cut.chart.vertices[cut.chart.triangles])[0].sum()) for cut in charts]
+    uv_areas = [float(signed_areas(uv[cut.chart.triangles]).sum()) for cut, uv in zip(charts, uvs, strict=True)]
+    return density * float(np.sqrt(sum(areas) / sum(uv_areas)))
 
 
 def _scale_to_density(uvs: list[np.ndarray], charts: list[Chart]) -> list[np.ndarray]:

@@ -71,7 +71,7 @@ class MergeJob:
             if self.unwrapping is not None:
                 results = yield from subprogress(self.unwrapping.core_steps(), READING_END, UNWRAPPING_END)
                 yield Progress(UNWRAPPING_END, "Packing")
-                unwrapped = _pack_together(self.unwrapping, results)
+                unwrapped = yield from _pack_together(self.unwrapping, results)
                 new_uvs = {instance.object_uid: result.corner_uvs for instance, result in zip(self.instances, unwrapped, strict=True)}
                 end = UNWRAPPING_END
             surface = read_surface(self.instances, new_uvs)
@@ -203,7 +203,7 @@ def _project(instances: list[SourceInstance], sources: list[PhotoSource]) -> lis
     return [projection for projection in projections if projection is not None]
 
 
-def _pack_together(job: unwrap_job.UnwrapJob, results: Sequence[UnwrapResult]) -> list[UnwrapResult]:
+def _pack_together(job: unwrap_job.UnwrapJob, results: Sequence[UnwrapResult]) -> Steps[list[UnwrapResult]]:
     """Return the UV maps of several meshes in one unit square, each with the area of its surface."""
     if len(results) == 1:
         return list(results)
@@ -211,8 +211,8 @@ def _pack_together(job: unwrap_job.UnwrapJob, results: Sequence[UnwrapResult]) -
     for target, result in zip(job.targets, results, strict=True):
         area, uv_area = face_areas_and_normals(target.mesh.corners)[0].sum(), np.abs(signed_areas(result.corner_uvs)).sum()
         scaled.append(result.corner_uvs.reshape(-1, 2) * np.sqrt(area / uv_area))
-    packed = pack_charts(scaled, [np.arange(len(uvs)).reshape(-1, 3) for uvs in scaled], job.settings.margin)
-    corner_uvs = [uvs.reshape(-1, 3, 2) for uvs in packed]
+    packing = yield from pack_charts(scaled, [np.arange(len(uvs)).reshape(-1, 3) for uvs in scaled], job.settings.texture)
+    corner_uvs = [uvs.reshape(-1, 3, 2) for uvs in packing.uvs]
     return [
         replace(result, corner_uvs=uvs, metrics=replace(result.metrics, fill=float(np.abs(signed_areas(uvs)).sum())))
         for result, uvs in zip(results, corner_uvs, strict=True)

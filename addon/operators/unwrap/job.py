@@ -21,6 +21,8 @@ from ...core.unwrap.importance import compute_importance, from_direction
 from ...core.unwrap.settings import UnwrapSettings
 from ...core.unwrap.unwrapping import UnwrapResult, check_surface, unwrap
 
+MIN_DENSITY_FRACTION = 0.99  # Of the wanted texel density, below which it counts as lowered.
+
 
 @dataclass
 class UnwrapJob:
@@ -31,6 +33,7 @@ class UnwrapJob:
         cameras: Cameras that determine importance.
         occluders: Surfaces that may hide a target.
         settings: Settings of the unwrap.
+        unit_length: Of a Blender unit, in meters.
         skipped: Names of other objects with the reason.
         remarks: Sentences about the targets.
         results: Targets and UV maps, once the job is done.
@@ -42,6 +45,7 @@ class UnwrapJob:
     cameras: list[CameraProjection]
     occluders: list[SourceInstance]
     settings: UnwrapSettings
+    unit_length: float
     skipped: list[str]
     remarks: list[str] = field(default_factory=list)
     results: list[tuple[uv_maps.UvTarget, UnwrapResult]] = field(default_factory=list)
@@ -54,7 +58,7 @@ class UnwrapJob:
             yield Progress(done, "Computing importance")
             occluders = partial(self._occluders, target)
             weights = compute_importance(target.mesh, self.settings, self.cameras, occluders, target.normal_sign, target.group_weights)
-            steps = unwrap(target.mesh, target.polygon_ids, target.seams, weights, self.settings, target.object_name)
+            steps = unwrap(target.mesh, target.polygon_ids, target.seams, weights, self.settings, target.object_name, self.unit_length)
             results.append((yield from subprogress(steps, done, done + fraction)))
             done += fraction
         return results
@@ -73,8 +77,9 @@ class UnwrapJob:
             for target in self.targets:
                 uv_maps.find_mesh(target, self.settings.uv_map)
             for target, result in zip(self.targets, core_result, strict=True):
-                stretches = result.stretches.dominant
-                uv_maps.write_uv_map(target, result.corner_uvs, stretches, self.settings.uv_map, asdict(result.metrics))
+                texture, metrics = self.settings.texture, asdict(result.metrics)
+                stretches, name = result.stretches.dominant, self.settings.uv_map
+                uv_maps.write_uv_map(target, result.corner_uvs, stretches, name, metrics, texture, self.unit_length)
                 self.results.append((target, result))
         finally:
             if is_editing:
@@ -89,12 +94,28 @@ class UnwrapJob:
                 yield concatenate_in_world_space([instance])
 
     def _summarize(self) -> str:
-        summaries = [
-            f'"{target.object_name}" (stretch {result.metrics.l2:.3f}, {format_count(result.chart_count, "UV island")})'
-            for target, result in self.results
+        summaries = [f'"{target.object_name}" ({self._describe(result)})' for target, result in self.results]
+        wanted, texture = self.settings.texel_density, _describe_tiles(self.settings)
+        densities = [(target, result.metrics.texel_density) for target, result in self.results]
+        lowered = [
+            f'The texel density of "{target.object_name}" was lowered to {density:.4g} px/m: {wanted:g} px/m do not fit into {texture}.'
+            for target, density in densities
+            if density < MIN_DENSITY_FRACTION * wanted
         ]
         skipped = f"Skipped: {'; '.join(self.skipped)}." if self.skipped else ""
-        return join_sentences([f"Unwrapped {', '.join(summaries)}.", *self.remarks, skipped])
+        return join_sentences([f"Unwrapped {', '.join(summaries)}.", *lowered, *self.remarks, skipped])
+
+    def _describe(self, result: UnwrapResult) -> str:
+        """Return the most important figures of a UV map."""
+        metrics, tiles = result.metrics, result.tile_count
+        figures = [f"stretch {metrics.l2:.3f}", format_count(result.chart_count, "UV island")]
+        figures += [format_count(tiles, "UDIM tile")] if tiles > 1 else []
+        return ", ".join([*figures, f"{metrics.texel_density:.4g} px/m", f"{metrics.fill:.0%} filled"])
+
+
+def _describe_tiles(settings: UnwrapSettings) -> str:
+    tiles = "a texture" if settings.max_tiles == 1 else f"{settings.max_tiles} UDIM tiles"
+    return f"{tiles} of {settings.texture_size[0]} x {settings.texture_size[1]} pixels"
 
 
 def prepare(context: bpy.types.Context, objects: Sequence[bpy.types.Object], settings: UnwrapSettings) -> UnwrapJob:
@@ -127,7 +148,8 @@ def prepare(context: bpy.types.Context, objects: Sequence[bpy.types.Object], set
         reasons = "; ".join([*skipped, *_reasons(errors)])
         raise GeometryError(f"Nothing to unwrap: {reasons or 'no object is selected'}. Select a local mesh object.")
     skipped += _reasons(errors)
-    return UnwrapJob(targets, cameras, _read_occluders(context) if cameras else [], settings, skipped, remarks)
+    unit_length = uv_maps.read_unit_length(context.scene)
+    return UnwrapJob(targets, cameras, _read_occluders(context) if cameras else [], settings, unit_length, skipped, remarks)
 
 
 def _read_cameras(context: bpy.types.Context, settings: UnwrapSettings) -> list[CameraProjection]:

@@ -63,6 +63,32 @@ class FARFIELD_OT_unwrap_direction(bpy.types.Operator):
         return {"FINISHED"}
 
 
+class FARFIELD_OT_unwrap_texel_density(bpy.types.Operator):
+    """Set the texel density to that of the active object in its active UV map, for the texture size in the panel"""
+
+    bl_idname = "farfield.unwrap_texel_density"
+    bl_label = "Set Texel Density from Active UV Map"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Return whether the active object has a UV map."""
+        item = context.active_object
+        has_map = item is not None and item.type == "MESH" and item.mode == "OBJECT" and bool(item.data.uv_layers)
+        return long_work.poll_with_reason(cls, "" if has_map else "Activate a mesh object with a UV map in Object Mode")
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Set the texel density."""
+        item, settings = context.active_object, properties.read(UnwrapSettings, context.scene.farfield_unwrap)
+        target, unit_length = uv_maps.read_uv_target(item, None), uv_maps.read_unit_length(context.scene)
+        uv_map = item.data.uv_layers.active.name
+        density = uv_maps.measure_texel_density(item.data, target, uv_map, settings.texture, unit_length)
+        context.scene.farfield_unwrap.texel_density = density
+        report_message(self, f'The texel density of "{uv_map}" is {density:.4g} px/m.')
+        return {"FINISHED"}
+
+
 class FARFIELD_OT_unwrap_overlay(bpy.types.Operator):
     """Color faces by UV stretch in 3D Viewports and UV Editors: white is undistorted, red is stretched, blue is compressed"""
 
@@ -130,6 +156,7 @@ CLASSES = (
     FARFIELD_PG_unwrap,
     FARFIELD_OT_unwrap,
     FARFIELD_OT_unwrap_direction,
+    FARFIELD_OT_unwrap_texel_density,
     FARFIELD_OT_unwrap_overlay,
     FARFIELD_OT_unwrap_stretch_image,
 )

@@ -28,6 +28,7 @@ MERGE_TEXELS = 16  # holes that are closer than this are one
 RING_FRACTION = 0.6  # width of the ring relative to the square root of the hole's area
 MIN_RING_TEXELS = 32
 MIN_KNOWN_FRACTION = 0.5  # area of the ring relative to that of the hole
+MARGIN = 56  # Of islands of a hole, in texels of the default texture size of an unwrap.
 MIN_SIDE, MAX_SIDE = 32, 2048  # pixels of the layout of a hole
 MIN_KNOWN_WEIGHT = 0.5  # A color is interpolated where that of the texels around it with a photograph is larger.
 MIN_LENGTH = 1e-6  # Shorter edges, in texels, count as so long.
@@ -143,7 +144,8 @@ class HoleFiller:
         used, corners = np.unique(self.mesh.triangles[triangles], return_inverse=True)
         part, kept = drop_degenerate(TriangleMesh(self.mesh.vertices[used], corners.reshape(-1, 3).astype(np.int32)))
         count = len(part.triangles)
-        unwrapped = yield from unwrap(part, np.arange(count), np.zeros((0, 2), np.int32), np.zeros(count), UnwrapSettings(margin=0.02))
+        settings = UnwrapSettings(margin=MARGIN)
+        unwrapped = yield from unwrap(part, np.arange(count), np.zeros((0, 2), np.int32), np.zeros(count), settings)
         uv_area = float(np.abs(signed_areas(unwrapped.corner_uvs)).sum())
         area = float(face_areas_and_normals(part.corners)[0].sum())
         side = int(np.clip(np.ceil(np.sqrt(area / uv_area) / self.texel_side), MIN_SIDE, MAX_SIDE))
