@@ -104,15 +104,7 @@ def build_report(job: UnwrapJob, clock: StageClock) -> dict[str, Any]:
     objects = []
     for target, result in job.results:
         metrics = replace_infinite(asdict(result.metrics))
-        objects.append(
-            {
-                "name": target.object_name,
-                "triangles": len(target.loops),
-                "islands": result.chart_count,
-                "tiles": result.tile_count,
-                **metrics,
-            }
-        )
+        objects.append({"name": target.object_name, "triangles": len(target.loops), **result.counts, **metrics})
         for stage, duration in result.seconds.items():
             seconds[stage] = seconds.get(stage, 0.0) + duration
     largest = max(objects, key=lambda figures: figures["triangles"])

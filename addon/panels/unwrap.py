@@ -18,6 +18,9 @@ from ..operators.unwrap.operators import (
 from .sidebar import SettingsPanel, ToolPanel, draw_button, draw_progress_bar
 
 METRICS = (
+    ("UV Islands", "islands", "{:,.0f}"),
+    ("Stacked Islands", "stacked", "{:,.0f}"),
+    ("UDIM Tiles", "tiles", "{:.0f}"),
     ("Stretch L2", "l2", "{:.3f}"),
     ("95th Percentile", "p95", "{:.2f}"),
     ("Max Compression", "linf", "{:.2f}"),
@@ -33,6 +36,9 @@ METRICS = (
     ("Texel Density", "texel_density", "{:.4g} px/m"),
     ("Density Ratio", "density_ratio", "{:.2f}"),
 )
+
+
+ONLY_IF_SET = {"stacked", "tiles", "density_ratio"}  # Metrics that are not drawn where they are 0 or 1.
 
 
 class FARFIELD_PT_unwrap(SettingsPanel, ToolPanel, bpy.types.Panel):
@@ -70,12 +76,12 @@ class FARFIELD_PT_unwrap(SettingsPanel, ToolPanel, bpy.types.Panel):
 
 
 def draw_metrics(layout: bpy.types.UILayout, metrics: dict[str, float], texel_densities: dict[str, float]) -> None:
-    """Draw the metrics of a UV map, and the texel density of each; the density ratio only where density is not uniform."""
+    """Draw the metrics of a UV map, and the texel density of each; some only where there is something to tell."""
     columns = layout.box().row()
     labels, values = columns.column(align=True), columns.column(align=True)
     values.alignment = "RIGHT"
     for label, key, number_format in METRICS:
-        if metrics.get(key, 0.0) or key != "density_ratio":
+        if metrics.get(key, 0.0) not in (0.0, 1.0) or key not in ONLY_IF_SET:
             labels.label(text=label)
             values.label(text=number_format.format(metrics.get(key, 0.0)))
     for name, density in texel_densities.items() if len(texel_densities) > 1 else ():

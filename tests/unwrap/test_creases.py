@@ -64,6 +64,11 @@ def test_doubled_vertices_count_as_one():
     assert len(find_seams(merged(doubled), result.corner_uvs)[1]) == len(find_seams(merged(doubled), expected.corner_uvs)[1])
 
 
+def test_xatlas_cuts_a_box_with_and_without_doubled_vertices_alike():
+    doubled = box(cuts=2)
+    assert unwrap_mesh(doubled, islands="atlas").chart_count == unwrap_mesh(merged(doubled), islands="atlas").chart_count == 6
+
+
 def test_vertices_are_welded_within_a_tolerance_only():
     one, other = sheet(2), sheet(2)
     for distance, count in ((1e-8, 2), (1e-3, 0)):

@@ -458,3 +458,16 @@ def test_the_texel_density_of_a_uv_map_becomes_the_setting():
     bpy.context.scene.farfield_unwrap.texture_size = (1024, 1024)
     assert bpy.ops.farfield.unwrap_texel_density() == {"FINISHED"}
     assert bpy.context.scene.farfield_unwrap.texel_density == pytest.approx(400.0, rel=1e-4)
+
+
+def test_stacked_islands_are_counted(capfd):
+    add_sphere()
+    bpy.ops.object.duplicate()
+    bpy.context.object.location.x = 5.0
+    bpy.context.scene.objects["Sphere"].select_set(True)
+    bpy.ops.object.join()
+    item = bpy.context.object
+    unwrap(stack=True)
+    counts = uv_maps.read_metrics(item.data)
+    assert counts["stacked"] == 0.5 * counts["islands"] > 0 and counts["overlaps"] == 0
+    assert f"{counts['islands']} UV islands of which {counts['stacked']} stacked" in capfd.readouterr().out

@@ -125,12 +125,15 @@ def measure_distortion(
     texture: Texture | None = None,
     unit_length: float = 1.0,
     tile_count: int = 1,
+    is_stacked: np.ndarray | None = None,
 ) -> Steps[DistortionMetrics]:
     """Return all metrics of the UV map `corner_uvs` (T, 3, 2) of `mesh`, from its `stretches` and `importance` (T,), 0 to 1.
 
     texture: that the map is made for. unit_length: of a unit of `mesh`, in meters. tile_count: UDIM tiles of the map.
+    is_stacked: (T,) bool, triangles in the place of others on purpose, which neither overlap these nor cover anything.
     """
     texture = texture or Texture()
+    separate = slice(None) if is_stacked is None else ~is_stacked
     areas, _ = face_areas_and_normals(mesh.corners)
     measurable = areas > NEGLIGIBLE_AREA * areas.mean()
     weights = areas[measurable] / areas[measurable].sum()
@@ -144,7 +147,7 @@ def measure_distortion(
     used_texture = uv_areas[measurable] / uv_areas[measurable].sum()
     anisotropy = stretches.anisotropy[measurable]
     yield Progress(0.0, "Measuring")
-    overlaps = yield from count_overlaps(corner_uvs)
+    overlaps = yield from count_overlaps(corner_uvs[separate])
     return DistortionMetrics(
         l2=float(np.sqrt(0.5 * weights @ squares)),
         linf=float(max_stretch.max()),
@@ -158,7 +161,7 @@ def measure_distortion(
         flips=int(stretches.is_flipped.sum()),
         overlaps=overlaps,
         min_quality=float(min_height_to_base(corner_uvs * texture.aspect).min()),
-        fill=float(uv_areas.sum()) / tile_count,
+        fill=float(uv_areas[separate].sum()) / tile_count,
         texel_density=compute_texel_density(corner_uvs, float(areas.sum()) * unit_length**2, texture),
         densities=_compute_densities(uv_areas, areas, importance),
         density_ratio=compute_density_ratio(uv_areas, areas, importance),

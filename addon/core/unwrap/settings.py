@@ -82,6 +82,9 @@ class UnwrapSettings(Settings):
         maximum=1e6,
     )
     max_tiles: int = setting(1, "Maximum number of UDIM tiles, with the UDIM numbers 1001, 1002 and so on", minimum=1, maximum=100)
+    stack: bool = setting(
+        False, "Give equal parts and UV islands the same place in the UV map, so that they share texels", label="Stack Equal Islands"
+    )
     uv_map: str = setting("Unwrap", "Name of the UV map, created if missing")
 
     @property

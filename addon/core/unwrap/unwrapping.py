@@ -15,15 +15,16 @@ from .cutting.bisection import bisect_further
 from .cutting.chart import Chart, split_into_components
 from .cutting.charts import MAX_EXCESS, CutChart, connect_triangles, cut_further, cut_into_charts
 from .cutting.cuts import POOR_EXCESS
-from .cutting.regions import divide_at_creases
+from .cutting.regions import divide_at_creases, label_components
 from .distortion import DistortionMetrics, Stretches, compute_stretches, measure_distortion
 from .dividing import divide_long_pieces
 from .merging import merge_islands
-from .packing import Packing, pack_charts
+from .packing import pack_charts
 from .parameterization.developable import unfold_developable
 from .parameterization.mild import flatten_mild
 from .parameterization.parameterize import Balance, Boundary, DistortionError, parameterize
 from .settings import UnwrapSettings
+from .stacking import Copies, find_copies
 from .texture import Texture
 
 CUTTING_END, PARAMETERIZATION_END, PACKING_END = 0.1, 0.9, 0.95  # Fractions of the progress bar.
@@ -46,7 +47,8 @@ class UnwrapResult:
         corner_uvs: (T, 3, 2) float64 in UDIM tiles of side 1, the first one at the origin.
         stretches: Stretch of each triangle.
         metrics: Quality of the map.
-        chart_count: Number of charts.
+        chart_count: Number of charts, with stacked ones.
+        stacked_count: Number of charts in the place of another one.
         tile_count: Number of UDIM tiles.
         seconds: Run time per stage.
     """
@@ -55,8 +57,14 @@ class UnwrapResult:
     stretches: Stretches
     metrics: DistortionMetrics
     chart_count: int
+    stacked_count: int
     tile_count: int
     seconds: dict[str, float]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """The counts, as reports and custom properties name them."""
+        return {"islands": self.chart_count, "stacked": self.stacked_count, "tiles": self.tile_count}
 
 
 def unwrap(
@@ -83,10 +91,15 @@ def unwrap(
     seconds, started = {}, time.perf_counter()
     check_surface(mesh, name)
     yield Progress(0.0, "Cutting")
-    if settings.islands == "atlas":
-        seams = np.concatenate([np.reshape(seams, (-1, 2)), find_atlas_seams(mesh, polygon_ids)])
     density = settings.density_ratio**importance
-    surface = Chart(mesh.vertices, mesh.triangles, density, polygon_ids)
+    parts, copies = np.zeros(len(density), np.int64), Copies.none(len(density))
+    if settings.stack:
+        parts, copies = yield from subprogress(_find_equal_parts(mesh, density, seams), 0.0, 0.0)
+    kept = np.flatnonzero(~copies.is_copy)
+    surface = Chart(mesh.vertices, mesh.triangles[kept], density[kept], polygon_ids[kept])
+    if settings.islands == "atlas":
+        atlas_seams = find_atlas_seams(TriangleMesh(surface.vertices, surface.triangles), surface.polygon_ids)
+        seams = np.concatenate([np.reshape(seams, (-1, 2)), atlas_seams])
     follows_creases = _follows_creases(settings) and np.ptp(density) == 0.0
     regions, halfedges = [], np.zeros((0, 2), np.int64)
     if follows_creases:
@@ -99,24 +112,38 @@ def unwrap(
     charts, uvs = [cut for cut, _ in regions] + charts, [uv for _, uv in regions] + uvs
     seconds["parameterize"], started = time.perf_counter() - started, time.perf_counter()
     yield Progress(PARAMETERIZATION_END, "Packing")
-    texture = replace(settings.texture, density=_texels_per_uv(charts, uvs, settings.texel_density * unit_length))
+    texels_per_unit = settings.texel_density * unit_length / float(np.sqrt(_mean_density(charts, uvs)))
+    texture = replace(settings.texture, density=texels_per_unit)
+    steps = _pack(surface, charts, uvs, texture, settings.stack)
     if follows_creases:
-        steps = _merge_and_pack(surface, charts, uvs, halfedges, texture)
-        charts, packing = yield from subprogress(steps, PARAMETERIZATION_END, PACKING_END)
-    else:
-        steps = pack_charts(uvs, [cut.chart.triangles for cut in charts], texture)
-        packing = yield from subprogress(steps, PARAMETERIZATION_END, PACKING_END)
-    corner_uvs = np.empty((len(mesh.triangles), 3, 2))
-    for cut, uv in zip(charts, packing.uvs, strict=True):
-        corner_uvs[cut.triangle_indices] = uv[cut.chart.triangles]
+        steps = _merge_and_pack(surface, charts, uvs, halfedges, texture, settings.stack)
+    packed = yield from subprogress(steps, PARAMETERIZATION_END, PACKING_END)
+    corner_uvs, labels = np.empty((len(mesh.triangles), 3, 2)), np.empty(len(mesh.triangles), np.int64)
+    corner_uvs[kept], labels[kept] = packed.corner_uvs, packed.labels
+    corner_uvs, labels = copies.fill(corner_uvs), labels[copies.sources]
+    is_stacked = copies.is_copy
+    is_stacked[kept] = packed.copies.is_copy
+    chart_count = len(np.unique(parts * len(labels) + labels))
     seconds["pack"], started = time.perf_counter() - started, time.perf_counter()
     yield Progress(PACKING_END, "Measuring")
     stretches = yield from subprogress(compute_stretches(mesh, corner_uvs * texture.aspect), PACKING_END, PACKING_END)
     yield Progress(PACKING_END, "Measuring")
-    steps = measure_distortion(mesh, corner_uvs, stretches, importance, texture, unit_length, packing.tile_count)
+    steps = measure_distortion(mesh, corner_uvs, stretches, importance, texture, unit_length, packed.tile_count, is_stacked)
     metrics = yield from subprogress(steps, PACKING_END, 1.0)
     seconds["measure"] = time.perf_counter() - started
-    return UnwrapResult(corner_uvs, stretches, metrics, len(charts), packing.tile_count, seconds)
+    stacked_count = chart_count - packed.separate_count
+    return UnwrapResult(corner_uvs, stretches, metrics, chart_count, stacked_count, packed.tile_count, seconds)
+
+
+def _find_equal_parts(mesh: TriangleMesh, density: np.ndarray, seams: np.ndarray) -> Steps[tuple[np.ndarray, Copies]]:
+    """Return the connected part (T,) of each triangle, and which are copies of parts that are equal, also in their seams."""
+    surface = Chart(mesh.vertices, mesh.triangles, density)
+    halfedges, has_seam = yield from connect_triangles(surface, seams)
+    _, parts = label_components(len(mesh.triangles), halfedges)
+    copies = yield from find_copies(mesh.corners, parts, density)
+    is_equal = np.bincount(parts, has_seam != has_seam[copies.sources]) == 0
+    sources = np.where(is_equal[parts], copies.sources, np.arange(len(parts)))
+    return parts, Copies(sources, np.where(is_equal[parts], copies.turns, 0))
 
 
 def _follows_creases(settings: UnwrapSettings) -> bool:
@@ -124,18 +151,62 @@ def _follows_creases(settings: UnwrapSettings) -> bool:
     return settings.islands == "creases" and settings.further_cuts and settings.boundary == "free"
 
 
-def _merge_and_pack(
-    surface: Chart, charts: list[CutChart], uvs: list[np.ndarray], halfedges: np.ndarray, texture: Texture
-) -> Steps[tuple[list[CutChart], Packing]]:
-    """Return charts, merged across common borders, and their packing: smaller ones if they fill the texture better than they add seams."""
-    corner_uvs, labels = np.empty((len(surface.triangles), 3, 2)), np.empty(len(surface.triangles), np.int64)
-    for index, (cut, uv) in enumerate(zip(charts, uvs, strict=True)):
+@dataclass(frozen=True)
+class _Packed:
+    """A packed map of T triangles.
+
+    Attributes:
+        corner_uvs: (T, 3, 2), in UDIM tiles of side 1.
+        labels: (T,) the chart of each triangle.
+        copies: Stacked triangles.
+        separate_count: Number of charts that are not stacked.
+        tile_count: Number of UDIM tiles.
+    """
+
+    corner_uvs: np.ndarray
+    labels: np.ndarray
+    copies: Copies
+    separate_count: int
+    tile_count: int
+
+    @property
+    def fill(self) -> float:
+        """Area of the map, counting stacked charts each, per tile."""
+        return float(signed_areas(self.corner_uvs).sum()) / self.tile_count
+
+
+def _pack(surface: Chart, charts: list[CutChart], uvs: list[np.ndarray], texture: Texture, stack: bool) -> Steps[_Packed]:
+    """Return the packed map of charts; with `stack`, equal ones get the same place."""
+    corner_uvs, labels = _combine(charts, uvs, len(surface.triangles))
+    copies = Copies.none(len(labels))
+    if stack:
+        copies = yield from find_copies(surface.vertices[surface.triangles], labels, surface.density)
+    separate = [index for index, cut in enumerate(charts) if not copies.is_copy[cut.triangle_indices[0]]]
+    charts = [charts[index] for index in separate]
+    packing = yield from pack_charts([uvs[index] for index in separate], [cut.chart.triangles for cut in charts], texture)
+    for cut, uv in zip(charts, packing.uvs, strict=True):
         corner_uvs[cut.triangle_indices] = uv[cut.chart.triangles]
-        labels[cut.triangle_indices] = index
+    return _Packed(copies.fill(corner_uvs), labels, copies, len(charts), packing.tile_count)
+
+
+def _combine(charts: list[CutChart], uvs: list[np.ndarray], count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the corner UVs (count, 3, 2) of all triangles, and their chart (count,)."""
+    corner_uvs, labels = np.empty((count, 3, 2)), np.empty(count, np.int64)
+    for index, (cut, uv) in enumerate(zip(charts, uvs, strict=True)):
+        corner_uvs[cut.triangle_indices], labels[cut.triangle_indices] = uv[cut.chart.triangles], index
+    return corner_uvs, labels
+
+
+def _merge_and_pack(
+    surface: Chart, charts: list[CutChart], uvs: list[np.ndarray], halfedges: np.ndarray, texture: Texture, stack: bool
+) -> Steps[_Packed]:
+    """Return the packed map of charts that are merged across common borders: to smaller ones if they fill the texture better than they
+    add seams."""
+    corner_uvs, labels = _combine(charts, uvs, len(surface.triangles))
     mesh = TriangleMesh(surface.vertices, surface.triangles)
     labels = divide_long_pieces(mesh, surface.polygon_ids, corner_uvs, labels, halfedges)
     lengths = np.linalg.norm(np.subtract(*mesh.vertices[halfedge_ends(mesh.triangles, halfedges[:, 0])].transpose(1, 0, 2)), axis=1)
-    best, best_fill, best_seam = None, 0.0, np.inf
+    best, best_seam = None, np.inf
     for max_side in MAX_ISLAND_SIDES:
         placed, is_sewn = yield from merge_islands(mesh, corner_uvs, labels, halfedges, max_side)
         merged, merged_uvs = [], []
@@ -144,13 +215,11 @@ def _merge_and_pack(
             merged_uvs.append(uv / np.bincount(chart.triangles.ravel())[:, None])
             merged.append(CutChart(chart, members, True))
         yield Progress(1.0, "Packing")
-        packing = yield from pack_charts(merged_uvs, [cut.chart.triangles for cut in merged], texture)
-        areas = [float(signed_areas(uv[cut.chart.triangles]).sum()) for cut, uv in zip(merged, packing.uvs, strict=True)]
-        fill = sum(areas) / packing.tile_count
+        packed = yield from _pack(surface, merged, merged_uvs, texture, stack)
         seam = float(lengths[~is_sewn].sum())
-        if best is None or fill > best_fill * max(MIN_FILL_GAIN, seam / best_seam):
-            best, best_fill, best_seam = (merged, packing), fill, seam
-        if fill > GOOD_FILL or len(merged) > MAX_ISLANDS_FOR_CHOICE or len(merged) == len(charts):
+        if best is None or packed.fill > best.fill * max(MIN_FILL_GAIN, seam / best_seam):
+            best, best_seam = packed, seam
+        if packed.fill > GOOD_FILL or len(merged) > MAX_ISLANDS_FOR_CHOICE or len(merged) == len(charts):
             break
     return best
 
@@ -236,11 +305,10 @@ def _measure_chart(chart: Chart, uv: np.ndarray) -> Steps[tuple[float, float]]:
     return float(areas[stretches.is_needle].sum() / areas.sum()), excess
 
 
-def _texels_per_uv(charts: list[CutChart], uvs: list[np.ndarray], density: float) -> float:
-    """Return the texels per unit of the `uvs` (V, 2) of charts that give the surface `density` texels per unit of length, on average."""
+def _mean_density(charts: list[CutChart], uvs: list[np.ndarray]) -> float:
+    """Return the area of the `uvs` (V, 2) of charts over that of the surface."""
     areas = [float(face_areas_and_normals(cut.chart.vertices[cut.chart.triangles])[0].sum()) for cut in charts]
-    uv_areas = [float(signed_areas(uv[cut.chart.triangles]).sum()) for cut, uv in zip(charts, uvs, strict=True)]
-    return density * float(np.sqrt(sum(areas) / sum(uv_areas)))
+    return sum(float(signed_areas(uv[cut.chart.triangles]).sum()) for cut, uv in zip(charts, uvs, strict=True)) / sum(areas)
 
 
 def _scale_to_density(uvs: list[np.ndarray], charts: list[Chart]) -> list[np.ndarray]:

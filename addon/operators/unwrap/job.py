@@ -77,7 +77,7 @@ class UnwrapJob:
             for target in self.targets:
                 uv_maps.find_mesh(target, self.settings.uv_map)
             for target, result in zip(self.targets, core_result, strict=True):
-                texture, metrics = self.settings.texture, asdict(result.metrics)
+                texture, metrics = self.settings.texture, asdict(result.metrics) | result.counts
                 stretches, name = result.stretches.dominant, self.settings.uv_map
                 uv_maps.write_uv_map(target, result.corner_uvs, stretches, name, metrics, texture, self.unit_length)
                 self.results.append((target, result))
@@ -108,7 +108,8 @@ class UnwrapJob:
     def _describe(self, result: UnwrapResult) -> str:
         """Return the most important figures of a UV map."""
         metrics, tiles = result.metrics, result.tile_count
-        figures = [f"stretch {metrics.l2:.3f}", format_count(result.chart_count, "UV island")]
+        stacked = f" of which {result.stacked_count:,} stacked" if result.stacked_count else ""
+        figures = [f"stretch {metrics.l2:.3f}", format_count(result.chart_count, "UV island") + stacked]
         figures += [format_count(tiles, "UDIM tile")] if tiles > 1 else []
         return ", ".join([*figures, f"{metrics.texel_density:.4g} px/m", f"{metrics.fill:.0%} filled"])
 

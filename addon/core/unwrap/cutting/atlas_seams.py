@@ -4,6 +4,7 @@ import numpy as np
 
 from ...geometry.edges import find_edges
 from ...geometry.mesh import TriangleMesh, longest_side
+from .welding import pair_doubled_edges
 
 XATLAS_SIDE = 10.0  # Longest side of what xatlas gets: it drops faces with areas below 1e-7, and never ends where squares are infinite.
 
@@ -18,15 +19,16 @@ def find_atlas_seams(mesh: TriangleMesh, polygon_ids: np.ndarray) -> np.ndarray:
     atlas = xatlas.Atlas()
     atlas.add_mesh(_scale_for_xatlas(mesh), mesh.triangles.astype(np.uint32))
     atlas.generate()
-    _, triangles, _ = atlas.get_mesh(0)
-    atlas_corners = triangles.reshape(-1).astype(np.int64)
+    _, triangles, uvs = atlas.get_mesh(0)
+    corner_uvs = uvs[triangles.reshape(-1).astype(np.int64)]
     edges = find_edges(mesh.triangles, len(mesh.vertices))
-    halfedges = edges.interior_halfedges
+    halfedges = np.concatenate([edges.interior_halfedges, pair_doubled_edges(mesh.vertices, mesh.triangles, edges)])
     starts, ends = (3 * (halfedges // 3) + (halfedges % 3 + offset) % 3 for offset in (1, 2))
-    halfedge_ends = np.sort(np.stack([atlas_corners[starts], atlas_corners[ends]], axis=2), axis=2)
-    is_cut = (halfedge_ends[:, 0] != halfedge_ends[:, 1]).any(axis=1)
+    is_equal = mesh.triangles.reshape(-1)[starts[:, 0]] == mesh.triangles.reshape(-1)[starts[:, 1]]  # Where both have the same winding.
+    ends_of_other = np.where(is_equal[:, None], np.stack([starts[:, 1], ends[:, 1]], 1), np.stack([ends[:, 1], starts[:, 1]], 1))
+    is_cut = (corner_uvs[np.stack([starts[:, 0], ends[:, 0]], 1)] != corner_uvs[ends_of_other]).any(axis=(1, 2))
     is_cut &= polygon_ids[halfedges[:, 0] // 3] != polygon_ids[halfedges[:, 1] // 3]
-    return edges.ends[edges.interior[is_cut]]
+    return edges.ends[edges.face_edges.reshape(-1)[halfedges[is_cut, 0]]]
 
 
 def _scale_for_xatlas(mesh: TriangleMesh) -> np.ndarray:

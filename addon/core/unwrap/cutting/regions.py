@@ -39,7 +39,7 @@ def divide_at_creases(
         has_seam: (T,) bool, triangles at a marked seam; connected components with one are not divided.
     """
     vertices, triangles = surface.vertices, surface.triangles
-    total, component = _label_components(len(triangles), halfedges)
+    total, component = label_components(len(triangles), halfedges)
     is_marked = np.bincount(component, has_seam, total) > 0
     yield Progress(0.0, "Finding creases")
     creases = find_creases(vertices, triangles, halfedges) & ~is_marked[component[halfedges[:, 0] // 3]]
@@ -71,7 +71,7 @@ def divide_at_creases(
     return flat, curved
 
 
-def _label_components(count: int, halfedges: np.ndarray) -> tuple[int, np.ndarray]:
+def label_components(count: int, halfedges: np.ndarray) -> tuple[int, np.ndarray]:
     """Return the number of components of `count` triangles that are connected across `halfedges` (I, 2), and the one of each triangle."""
     links = coo_array((np.ones(len(halfedges), bool), tuple(halfedges.T // 3)), shape=(count, count))
     return connected_components(links, directed=False)
@@ -80,7 +80,7 @@ def _label_components(count: int, halfedges: np.ndarray) -> tuple[int, np.ndarra
 def _absorb_bevels(surface: Chart, halfedges: np.ndarray, creases: np.ndarray) -> np.ndarray:
     """Return the region (T,) of each triangle, between `creases` (I,) bool; bevels get that of the flat region with the longest border."""
     triangles = surface.triangles
-    total, regions = _label_components(len(triangles), halfedges[~creases])
+    total, regions = label_components(len(triangles), halfedges[~creases])
     normals = scaled_normals(surface.vertices[triangles])
     areas = np.linalg.norm(normals, axis=1)
     region_areas = np.bincount(regions, areas, total)
