@@ -82,7 +82,7 @@ def test_both_sides_of_a_card_are_matched_to_the_right_side():
     assert ((copies.sources[labels == 1] < count) == (np.arange(2 * count) < count)).all()
 
 
-def test_equal_parts_share_texels():
+def test_equal_parts_have_the_same_texels():
     part, other = box((1.0, 2.0, 3.0), cuts=2), box((1.0, 1.0, 1.0), cuts=2)
     mesh = concatenate([part, other, moved(part, 3), moved(shuffled(part, 4), 4)])
     result, single = unwrap_stacked(mesh), unwrap_stacked(concatenate([part, other]))

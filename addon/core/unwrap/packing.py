@@ -7,6 +7,8 @@ import numpy as np
 
 from ..arrays import TINY
 from ..geometry.convex_hulls import convex_hull
+from ..geometry.mesh import scaled_normals
+from ..geometry.transforms import signed_areas
 from ..jobs.progress import Steps
 from .raster_packing import Placement, RasterGrid, place_charts
 from .texture import Texture, tile_origins
@@ -16,6 +18,7 @@ XATLAS_PADDING = 1.25  # That square may become larger, and the margin smaller w
 MAX_CHARTS_AS_RASTERS = 1000  # More are packed by xatlas, which is faster but packs into one square only;
 MAX_CHARTS_WITHOUT_XATLAS = 5000  # the limit for other textures.
 MAX_CHART_SIDE = 8 * XATLAS_SIDE  # Texels; the time of xatlas grows with the bounding boxes of charts, however thin they are.
+MIN_UPRIGHT_GRADIENT = 0.5  # Mean gradient of height in a chart, 1 where it is vertical, above which its surface has an upright position.
 QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])  # Turns rows of coordinates counter-clockwise.
 
 
@@ -34,26 +37,49 @@ class Packing:
     tile_count: int
 
 
-def pack_charts(uvs: Sequence[np.ndarray], triangles: Sequence[np.ndarray], texture: Texture) -> Steps[Packing]:
+def pack_charts(
+    uvs: Sequence[np.ndarray], triangles: Sequence[np.ndarray], texture: Texture, may_turn: Sequence[bool] | None = None
+) -> Steps[Packing]:
     """Return the `uvs` (V, 2) of charts, rotated, moved apart, and scaled by one common factor to fill a texture.
 
-    triangles: (T, 3) of each chart.
+    Args:
+        uvs: (V, 2) of each chart.
+        triangles: (T, 3) of each chart.
+        texture: to fill.
+        may_turn: whether each chart may be rotated. None: all may.
     """
-    oriented = [orient(uv) for uv in uvs]
+    may_turn = [True] * len(uvs) if may_turn is None else may_turn
+    oriented = [orient(uv) if turns else uv for uv, turns in zip(uvs, may_turn, strict=True)]
     grid = RasterGrid.of_tile(texture.inside, texture.margin)
     is_square = texture.size[0] == texture.size[1] and texture.max_tiles == 1
     if len(oriented) > (MAX_CHARTS_AS_RASTERS if is_square else MAX_CHARTS_WITHOUT_XATLAS):
-        return _arrange(_pack_with_xatlas(oriented, triangles, texture.margin / max(texture.size)), [0] * len(oriented), texture)
-    placed = yield from place_charts(oriented, triangles, grid)
+        return _arrange_placed(oriented, triangles, None, texture)
+    placed = yield from place_charts(oriented, triangles, may_turn, grid)
     packing = _arrange_placed(oriented, triangles, placed, texture)
     if texture.max_tiles == 1 or 0.0 < texture.density <= packing.density:
         return packing
+    placed = None
     if texture.density > 0.0:
-        placed = yield from place_charts(oriented, triangles, grid, texture.max_tiles, texture.density)
-        if placed is not None:
-            return _arrange_placed(oriented, triangles, placed, texture)
-    placed = yield from place_charts(oriented, triangles, grid, texture.max_tiles)
+        placed = yield from place_charts(oriented, triangles, may_turn, grid, texture.max_tiles, texture.density)
+    if placed is None:
+        placed = yield from place_charts(oriented, triangles, may_turn, grid, texture.max_tiles)
     return packing if placed is None else _arrange_placed(oriented, triangles, placed, texture)
+
+
+def turn_upright(uv: np.ndarray, triangles: np.ndarray, vertices: np.ndarray) -> np.ndarray | None:
+    """Return `uv` (V, 2) of a chart, rotated so that the Z axis of its surface points along v; None where it is hardly vertical.
+
+    triangles: (T, 3). vertices: (V, 3).
+    """
+    corners, heights = uv[triangles], vertices[triangles, 2]
+    edges = np.roll(corners, 1, axis=1) - np.roll(corners, -1, axis=1)  # Opposite to each corner.
+    up = 0.5 * np.einsum("tc,tci->i", heights, edges[..., ::-1] * [-1.0, 1.0])  # The gradient of height, times area, summed.
+    area = float(np.linalg.norm(scaled_normals(vertices[triangles]), axis=1).sum()) * 0.5
+    length = float(np.linalg.norm(up))
+    if length < MIN_UPRIGHT_GRADIENT * np.sqrt(area * float(signed_areas(corners).sum())):
+        return None
+    sine, cosine = up / length
+    return uv @ np.array([[cosine, sine], [-sine, cosine]])
 
 
 def _arrange_placed(

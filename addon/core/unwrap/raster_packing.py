@@ -53,23 +53,30 @@ class RasterGrid:
 
 @dataclass(frozen=True)
 class _Raster:
-    """The cells (H, W) bool of a chart, from `border` cells outside of its bounding box: those it covers, and those it keeps free."""
+    """The cells (H, W) bool that a chart covers, and those that it keeps free; turn_count: how many quarter turns are tried."""
 
     covered: np.ndarray
     kept_free: np.ndarray
+    turn_count: int
 
     def turned(self, turns: int) -> "_Raster":
-        return _Raster(np.rot90(self.covered, -turns), np.rot90(self.kept_free, -turns))  # Rows run upwards.
+        return _Raster(np.rot90(self.covered, -turns), np.rot90(self.kept_free, -turns), 1)  # Rows run upwards.
 
 
 def place_charts(
-    uvs: Sequence[np.ndarray], triangles: Sequence[np.ndarray], grid: RasterGrid, max_tiles: int = 1, density: float = 0.0
+    uvs: Sequence[np.ndarray],
+    triangles: Sequence[np.ndarray],
+    may_turn: Sequence[bool],
+    grid: RasterGrid,
+    max_tiles: int = 1,
+    density: float = 0.0,
 ) -> Steps[list[Placement] | None]:
     """Return the placements of charts in tiles; None where they do not fit.
 
     Args:
         uvs: (V, 2) of each chart.
         triangles: (T, 3) of each chart.
+        may_turn: whether each chart may be turned by quarters.
         grid: of each tile.
         density: texels per unit of uv; tiles are then filled one after the other. 0: as many as possible; charts are then placed where
             the rectangle that all tiles need grows least.
@@ -77,7 +84,8 @@ def place_charts(
     extents = np.array([np.ptp(uv, axis=0) for uv in uvs])
     area = sum(float(np.abs(signed_areas(uv[faces])).sum()) for uv, faces in zip(uvs, triangles, strict=True))
     shape = np.array([grid.columns, grid.rows])
-    min_cell = float(np.minimum((extents / shape).max(axis=1), (extents / shape[::-1]).max(axis=1)).max())
+    upright, turned = (extents / shape).max(axis=1), (extents / shape[::-1]).max(axis=1)
+    min_cell = float(np.where(may_turn, np.minimum(upright, turned), upright).max())
     cells = [max(float(np.sqrt(area / max_tiles / fill)) / GRID_SIDE, min_cell / 0.9) for fill in EXPECTED_FILLS]
     if density > 0.0:
         cells = [grid.cell_texels / density] if min_cell * density <= grid.cell_texels else []
@@ -86,7 +94,10 @@ def place_charts(
         if expected > MAX_RASTER_FILL * GRID_SIDE**2 * max_tiles and density == 0.0:
             continue
         border = (grid.gap + 1) // 2
-        rasters = [_rasterize((uv - uv.min(axis=0)) / cell, faces, grid.gap) for uv, faces in zip(uvs, triangles, strict=True)]
+        rasters = [
+            _rasterize((uv - uv.min(axis=0)) / cell, faces, grid.gap, 4 if turns else 1)
+            for uv, faces, turns in zip(uvs, triangles, may_turn, strict=True)
+        ]
         shapes = np.array([raster.covered.shape for raster in rasters])
         sizes = shapes.prod(axis=1), shapes.max(axis=1), np.array([raster.kept_free.sum() for raster in rasters])
         packings = []
@@ -102,7 +113,7 @@ def place_charts(
     return None
 
 
-def _rasterize(uv: np.ndarray, triangles: np.ndarray, gap: int) -> _Raster:
+def _rasterize(uv: np.ndarray, triangles: np.ndarray, gap: int, turn_count: int) -> _Raster:
     """Return the cells that a chart covers, and those that it keeps free so that `gap` cells are between it and others.
 
     uv: (V, 2) in cells, from 0.
@@ -118,7 +129,7 @@ def _rasterize(uv: np.ndarray, triangles: np.ndarray, gap: int) -> _Raster:
     columns, rows = (starts[edge] + t[:, None] * (ends - starts)[edge]).astype(int).T
     inside[rows * width + columns] = True
     raster = np.pad(inside.reshape(height, width), (gap + 1) // 2)
-    return _Raster(_widen(raster, gap // 2), _widen(raster, (gap + 1) // 2))
+    return _Raster(_widen(raster, gap // 2), _widen(raster, (gap + 1) // 2), turn_count)
 
 
 def _widen(raster: np.ndarray, distance: int) -> np.ndarray:
@@ -167,7 +178,7 @@ class _Tiles:
                 break
             if tile == len(self.occupied):
                 self.occupied.append(np.zeros(self._shape, np.float32))
-            for turns in range(4):
+            for turns in range(raster.turn_count):
                 turned = raster.turned(turns)
                 if turns >= 2 and np.array_equal(turned.covered, np.rot90(turned.covered, 2)):
                     break

@@ -23,6 +23,11 @@ ISLANDS = {
     "one": Choice("One per Part", "One UV island per connected part, cut open where necessary"),
     "atlas": Choice("Atlas", "Many UV islands with little stretch, cut along creases"),
 }
+ORIENTATIONS = {
+    "auto": Choice("Upright if It Fits", "Upright where this costs at most two percent of the fill, otherwise as for Best Fill"),
+    "upright": Choice("Upright", "Up in the world is up in the UV map, for wood grain, labels and dirt"),
+    "fill": Choice("Best Fill", "Turn UV islands freely to fill the texture"),
+}
 BOUNDARIES = {
     "free": Choice("Free", "Place the boundary of each UV island where stretch is minimal"),
     "square": Choice("Square", "Map the boundary of each UV island to a square"),
@@ -82,6 +87,7 @@ class UnwrapSettings(Settings):
         maximum=1e6,
     )
     max_tiles: int = setting(1, "Maximum number of UDIM tiles, with the UDIM numbers 1001, 1002 and so on", minimum=1, maximum=100)
+    orientation: str = setting("auto", "How UV islands of walls and other vertical surfaces are turned", choices=ORIENTATIONS)
     stack: bool = setting(
         False, "Give equal parts and UV islands the same place in the UV map, so that they share texels", label="Stack Equal Islands"
     )

@@ -1,4 +1,4 @@
-"""Unwraps a surface: cuts it into charts, parameterizes and packs them, and measures the resulting UV map."""
+"""Unwraps a surface: cuts it into charts, parameterizes and arranges them, and measures the resulting UV map."""
 
 import time
 from dataclasses import dataclass, replace
@@ -6,33 +6,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import GeometryError
-from ..geometry.edges import halfedge_ends
 from ..geometry.mesh import TriangleMesh, check_points, face_areas_and_normals, has_area
 from ..geometry.transforms import signed_areas
 from ..jobs.progress import Progress, Steps, subprogress
+from .arrangement import merge_and_pack, pack, pack_upright
 from .cutting.atlas_seams import find_atlas_seams
 from .cutting.bisection import bisect_further
-from .cutting.chart import Chart, split_into_components
+from .cutting.chart import Chart
 from .cutting.charts import MAX_EXCESS, CutChart, connect_triangles, cut_further, cut_into_charts
 from .cutting.cuts import POOR_EXCESS
 from .cutting.regions import divide_at_creases, label_components
 from .distortion import DistortionMetrics, Stretches, compute_stretches, measure_distortion
-from .dividing import divide_long_pieces
-from .merging import merge_islands
-from .packing import pack_charts
 from .parameterization.developable import unfold_developable
 from .parameterization.mild import flatten_mild
 from .parameterization.parameterize import Balance, Boundary, DistortionError, parameterize
 from .settings import UnwrapSettings
 from .stacking import Copies, find_copies
-from .texture import Texture
 
 CUTTING_END, PARAMETERIZATION_END, PACKING_END = 0.1, 0.9, 0.95  # Fractions of the progress bar.
 MAX_CUT_ROUNDS = 2  # In each a chart is cut towards all its most distorted parts; in the second one only where it is poor or has needles.
-MAX_ISLAND_SIDES = 1.25, 0.9, 0.65  # Limits of merged islands that are tried in turn, see `merge_islands`,
-GOOD_FILL = 0.6  # until so much of the square is used. The next one must use it better by
-MIN_FILL_GAIN = 1.08  # at least this factor.
-MAX_ISLANDS_FOR_CHOICE = 40  # More islands fit in any case.
 MAX_BISECTIONS, MAX_BISECTIONS_WHILE_POOR = 3, 8  # Then a chart is divided in halves so many times, one after the other.
 COARSE_EXCESS = 1.1  # A chart is divided at once if its coarsest mesh has an excess so many times the limit.
 MAX_NEEDLES = 0.003  # As a fraction of a chart's map, above which it is cut further.
@@ -50,6 +42,7 @@ class UnwrapResult:
         chart_count: Number of charts, with stacked ones.
         stacked_count: Number of charts in the place of another one.
         tile_count: Number of UDIM tiles.
+        is_upright: Whether islands of vertical surfaces are turned so that up in the world is up in the map.
         seconds: Run time per stage.
     """
 
@@ -59,6 +52,7 @@ class UnwrapResult:
     chart_count: int
     stacked_count: int
     tile_count: int
+    is_upright: bool
     seconds: dict[str, float]
 
     @property
@@ -114,10 +108,13 @@ def unwrap(
     yield Progress(PARAMETERIZATION_END, "Packing")
     texels_per_unit = settings.texel_density * unit_length / float(np.sqrt(_mean_density(charts, uvs)))
     texture = replace(settings.texture, density=texels_per_unit)
-    steps = _pack(surface, charts, uvs, texture, settings.stack)
+    steps = pack(surface, charts, uvs, texture, settings.stack)
     if follows_creases:
-        steps = _merge_and_pack(surface, charts, uvs, halfedges, texture, settings.stack)
+        steps = merge_and_pack(surface, charts, uvs, halfedges, texture, settings.stack)
     packed = yield from subprogress(steps, PARAMETERIZATION_END, PACKING_END)
+    if settings.orientation != "fill":
+        steps = pack_upright(packed, texture, settings.orientation == "upright")
+        packed = yield from subprogress(steps, PACKING_END, PACKING_END)
     corner_uvs, labels = np.empty((len(mesh.triangles), 3, 2)), np.empty(len(mesh.triangles), np.int64)
     corner_uvs[kept], labels[kept] = packed.corner_uvs, packed.labels
     corner_uvs, labels = copies.fill(corner_uvs), labels[copies.sources]
@@ -132,7 +129,7 @@ def unwrap(
     metrics = yield from subprogress(steps, PACKING_END, 1.0)
     seconds["measure"] = time.perf_counter() - started
     stacked_count = chart_count - packed.separate_count
-    return UnwrapResult(corner_uvs, stretches, metrics, chart_count, stacked_count, packed.tile_count, seconds)
+    return UnwrapResult(corner_uvs, stretches, metrics, chart_count, stacked_count, packed.tile_count, packed.is_upright, seconds)
 
 
 def _find_equal_parts(mesh: TriangleMesh, density: np.ndarray, seams: np.ndarray) -> Steps[tuple[np.ndarray, Copies]]:
@@ -149,79 +146,6 @@ def _find_equal_parts(mesh: TriangleMesh, density: np.ndarray, seams: np.ndarray
 def _follows_creases(settings: UnwrapSettings) -> bool:
     """Return whether surfaces of uniform density are divided along creases."""
     return settings.islands == "creases" and settings.further_cuts and settings.boundary == "free"
-
-
-@dataclass(frozen=True)
-class _Packed:
-    """A packed map of T triangles.
-
-    Attributes:
-        corner_uvs: (T, 3, 2), in UDIM tiles of side 1.
-        labels: (T,) the chart of each triangle.
-        copies: Stacked triangles.
-        separate_count: Number of charts that are not stacked.
-        tile_count: Number of UDIM tiles.
-    """
-
-    corner_uvs: np.ndarray
-    labels: np.ndarray
-    copies: Copies
-    separate_count: int
-    tile_count: int
-
-    @property
-    def fill(self) -> float:
-        """Area of the map, counting stacked charts each, per tile."""
-        return float(signed_areas(self.corner_uvs).sum()) / self.tile_count
-
-
-def _pack(surface: Chart, charts: list[CutChart], uvs: list[np.ndarray], texture: Texture, stack: bool) -> Steps[_Packed]:
-    """Return the packed map of charts; with `stack`, equal ones get the same place."""
-    corner_uvs, labels = _combine(charts, uvs, len(surface.triangles))
-    copies = Copies.none(len(labels))
-    if stack:
-        copies = yield from find_copies(surface.vertices[surface.triangles], labels, surface.density)
-    separate = [index for index, cut in enumerate(charts) if not copies.is_copy[cut.triangle_indices[0]]]
-    charts = [charts[index] for index in separate]
-    packing = yield from pack_charts([uvs[index] for index in separate], [cut.chart.triangles for cut in charts], texture)
-    for cut, uv in zip(charts, packing.uvs, strict=True):
-        corner_uvs[cut.triangle_indices] = uv[cut.chart.triangles]
-    return _Packed(copies.fill(corner_uvs), labels, copies, len(charts), packing.tile_count)
-
-
-def _combine(charts: list[CutChart], uvs: list[np.ndarray], count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the corner UVs (count, 3, 2) of all triangles, and their chart (count,)."""
-    corner_uvs, labels = np.empty((count, 3, 2)), np.empty(count, np.int64)
-    for index, (cut, uv) in enumerate(zip(charts, uvs, strict=True)):
-        corner_uvs[cut.triangle_indices], labels[cut.triangle_indices] = uv[cut.chart.triangles], index
-    return corner_uvs, labels
-
-
-def _merge_and_pack(
-    surface: Chart, charts: list[CutChart], uvs: list[np.ndarray], halfedges: np.ndarray, texture: Texture, stack: bool
-) -> Steps[_Packed]:
-    """Return the packed map of charts that are merged across common borders: to smaller ones if they fill the texture better than they
-    add seams."""
-    corner_uvs, labels = _combine(charts, uvs, len(surface.triangles))
-    mesh = TriangleMesh(surface.vertices, surface.triangles)
-    labels = divide_long_pieces(mesh, surface.polygon_ids, corner_uvs, labels, halfedges)
-    lengths = np.linalg.norm(np.subtract(*mesh.vertices[halfedge_ends(mesh.triangles, halfedges[:, 0])].transpose(1, 0, 2)), axis=1)
-    best, best_seam = None, np.inf
-    for max_side in MAX_ISLAND_SIDES:
-        placed, is_sewn = yield from merge_islands(mesh, corner_uvs, labels, halfedges, max_side)
-        merged, merged_uvs = [], []
-        for chart, members in split_into_components(surface, halfedges[is_sewn]):
-            uv = np.stack([np.bincount(chart.triangles.ravel(), axis) for axis in placed[members].reshape(-1, 2).T], axis=1)
-            merged_uvs.append(uv / np.bincount(chart.triangles.ravel())[:, None])
-            merged.append(CutChart(chart, members, True))
-        yield Progress(1.0, "Packing")
-        packed = yield from _pack(surface, merged, merged_uvs, texture, stack)
-        seam = float(lengths[~is_sewn].sum())
-        if best is None or packed.fill > best.fill * max(MIN_FILL_GAIN, seam / best_seam):
-            best, best_seam = packed, seam
-        if packed.fill > GOOD_FILL or len(merged) > MAX_ISLANDS_FOR_CHOICE or len(merged) == len(charts):
-            break
-    return best
 
 
 def check_surface(mesh: TriangleMesh, name: str) -> None:

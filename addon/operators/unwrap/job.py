@@ -111,6 +111,7 @@ class UnwrapJob:
         stacked = f" of which {result.stacked_count:,} stacked" if result.stacked_count else ""
         figures = [f"stretch {metrics.l2:.3f}", format_count(result.chart_count, "UV island") + stacked]
         figures += [format_count(tiles, "UDIM tile")] if tiles > 1 else []
+        figures += ["upright"] if result.is_upright else []
         return ", ".join([*figures, f"{metrics.texel_density:.4g} px/m", f"{metrics.fill:.0%} filled"])
 
 

@@ -1,0 +1,123 @@
+"""Arranges charts in a UV map: merges them across common borders, stacks equal ones, turns them upright and packs them."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..geometry.edges import halfedge_ends
+from ..geometry.mesh import TriangleMesh
+from ..geometry.transforms import signed_areas
+from ..jobs.progress import Progress, Steps
+from .cutting.chart import Chart, split_into_components
+from .cutting.charts import CutChart
+from .dividing import divide_long_pieces
+from .merging import merge_islands
+from .packing import pack_charts, turn_upright
+from .stacking import Copies, find_copies
+from .texture import Texture
+
+MAX_ISLAND_SIDES = 1.25, 0.9, 0.65  # Limits of merged islands that are tried in turn, see `merge_islands`,
+GOOD_FILL = 0.6  # until so much of the square is used. The next one must use it better by
+MIN_FILL_GAIN = 1.08  # at least this factor.
+MAX_ISLANDS_FOR_CHOICE = 40  # More islands fit in any case.
+MIN_UPRIGHT_FILL = 0.98  # Of the texture with upright islands, relative to the fill with freely turned ones.
+
+
+@dataclass(frozen=True)
+class PackedMap:
+    """A packed map of T triangles.
+
+    Attributes:
+        charts: All charts.
+        uvs: (V, 2) of each before packing.
+        corner_uvs: (T, 3, 2), in UDIM tiles of side 1.
+        labels: (T,) the chart of each triangle.
+        copies: Stacked triangles.
+        separate_count: Number of charts that are not stacked.
+        tile_count: Number of UDIM tiles.
+        is_upright: Whether charts of vertical surfaces are upright.
+    """
+
+    charts: list[CutChart]
+    uvs: list[np.ndarray]
+    corner_uvs: np.ndarray
+    labels: np.ndarray
+    copies: Copies
+    separate_count: int
+    tile_count: int
+    is_upright: bool = False
+
+    @property
+    def fill(self) -> float:
+        """Area of the map, counting stacked charts each, per tile."""
+        return float(signed_areas(self.corner_uvs).sum()) / self.tile_count
+
+
+def pack(surface: Chart, charts: list[CutChart], uvs: list[np.ndarray], texture: Texture, stack: bool) -> Steps[PackedMap]:
+    """Return the packed map of charts; with `stack`, equal ones get the same place."""
+    corner_uvs, labels = _combine(charts, uvs, len(surface.triangles))
+    copies = Copies.none(len(labels))
+    if stack:
+        copies = yield from find_copies(surface.vertices[surface.triangles], labels, surface.density)
+    return (yield from _pack_separate(PackedMap(charts, uvs, corner_uvs, labels, copies, 0, 0), texture))
+
+
+def _pack_separate(packed: PackedMap, texture: Texture, may_turn: list[bool] | None = None) -> Steps[PackedMap]:
+    """Return the packed map of the charts that are not stacked. may_turn: whether each of all charts may be turned, None: all may."""
+    separate = [index for index, cut in enumerate(packed.charts) if not packed.copies.is_copy[cut.triangle_indices[0]]]
+    charts, uvs = [packed.charts[index] for index in separate], [packed.uvs[index] for index in separate]
+    may_turn = None if may_turn is None else [may_turn[index] for index in separate]
+    packing = yield from pack_charts(uvs, [cut.chart.triangles for cut in charts], texture, may_turn)
+    corner_uvs = np.empty_like(packed.corner_uvs)
+    for cut, uv in zip(charts, packing.uvs, strict=True):
+        corner_uvs[cut.triangle_indices] = uv[cut.chart.triangles]
+    corner_uvs = packed.copies.fill(corner_uvs)
+    return replace(
+        packed, corner_uvs=corner_uvs, separate_count=len(charts), tile_count=packing.tile_count, is_upright=may_turn is not None
+    )
+
+
+def pack_upright(packed: PackedMap, texture: Texture, always: bool) -> Steps[PackedMap]:
+    """Return a packed map with charts of vertical surfaces upright, or the map before where that is filled better."""
+    upright = [turn_upright(uv, cut.chart.triangles, cut.chart.vertices) for cut, uv in zip(packed.charts, packed.uvs, strict=True)]
+    if all(uv is None for uv in upright):
+        return packed
+    uvs = [before if uv is None else uv for before, uv in zip(packed.uvs, upright, strict=True)]
+    turned = yield from _pack_separate(replace(packed, uvs=uvs), texture, [uv is None for uv in upright])
+    is_filled = turned.tile_count <= packed.tile_count and turned.fill >= MIN_UPRIGHT_FILL * packed.fill
+    return turned if always or is_filled else packed
+
+
+def _combine(charts: list[CutChart], uvs: list[np.ndarray], count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the corner UVs (count, 3, 2) of all triangles, and their chart (count,)."""
+    corner_uvs, labels = np.empty((count, 3, 2)), np.empty(count, np.int64)
+    for index, (cut, uv) in enumerate(zip(charts, uvs, strict=True)):
+        corner_uvs[cut.triangle_indices], labels[cut.triangle_indices] = uv[cut.chart.triangles], index
+    return corner_uvs, labels
+
+
+def merge_and_pack(
+    surface: Chart, charts: list[CutChart], uvs: list[np.ndarray], halfedges: np.ndarray, texture: Texture, stack: bool
+) -> Steps[PackedMap]:
+    """Return the packed map of charts that are merged across common borders: to smaller ones if they fill the texture better than they
+    add seams."""
+    corner_uvs, labels = _combine(charts, uvs, len(surface.triangles))
+    mesh = TriangleMesh(surface.vertices, surface.triangles)
+    labels = divide_long_pieces(mesh, surface.polygon_ids, corner_uvs, labels, halfedges)
+    lengths = np.linalg.norm(np.subtract(*mesh.vertices[halfedge_ends(mesh.triangles, halfedges[:, 0])].transpose(1, 0, 2)), axis=1)
+    best, best_seam = None, np.inf
+    for max_side in MAX_ISLAND_SIDES:
+        placed, is_sewn = yield from merge_islands(mesh, corner_uvs, labels, halfedges, max_side)
+        merged, merged_uvs = [], []
+        for chart, members in split_into_components(surface, halfedges[is_sewn]):
+            uv = np.stack([np.bincount(chart.triangles.ravel(), axis) for axis in placed[members].reshape(-1, 2).T], axis=1)
+            merged_uvs.append(uv / np.bincount(chart.triangles.ravel())[:, None])
+            merged.append(CutChart(chart, members, True))
+        yield Progress(1.0, "Packing")
+        packed = yield from pack(surface, merged, merged_uvs, texture, stack)
+        seam = float(lengths[~is_sewn].sum())
+        if best is None or packed.fill > best.fill * max(MIN_FILL_GAIN, seam / best_seam):
+            best, best_seam = packed, seam
+        if packed.fill > GOOD_FILL or len(merged) > MAX_ISLANDS_FOR_CHOICE or len(merged) == len(charts):
+            break
+    return best
