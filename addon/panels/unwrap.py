@@ -1,4 +1,7 @@
-"""Panel *View-Dependent Unwrap* in the sidebar tab *Farfield*."""
+"""Panels *View-Dependent Unwrap* in the sidebar tab *Farfield* of the 3D Viewport and the UV Editor, and entries of the menus *UV*."""
+
+from collections.abc import Sequence
+from typing import ClassVar
 
 import bpy
 
@@ -15,12 +18,18 @@ from ..operators.unwrap.operators import (
     disabled_reason,
     is_unwrapped,
 )
-from .sidebar import SettingsPanel, ToolPanel, draw_button, draw_progress_bar
+from .sidebar import SettingsPanel, SidebarPanel, ToolPanel, draw_button, draw_progress_bar, sub_panels
 
-METRICS = (
+SUMMARY = (
     ("UV Islands", "islands", "{:,.0f}"),
     ("Stacked Islands", "stacked", "{:,.0f}"),
     ("UDIM Tiles", "tiles", "{:.0f}"),
+    ("Pack Fill", "fill", "{:.0%}"),
+    ("Texel Density", "texel_density", "{:.4g} px/m"),
+    ("Flips", "flips", "{:.0f}"),
+    ("Overlaps", "overlaps", "{:.0f}"),
+)
+METRICS = (
     ("Stretch L2", "l2", "{:.3f}"),
     ("95th Percentile", "p95", "{:.2f}"),
     ("Max Compression", "linf", "{:.2f}"),
@@ -29,26 +38,35 @@ METRICS = (
     ("Anisotropy, 99th Percentile", "anisotropy_p99", "{:.2f}"),
     ("Anisotropic Area", "anisotropic_fraction", "{:.1%}"),
     ("Needles", "needles", "{:.1%}"),
-    ("Flips", "flips", "{:.0f}"),
-    ("Overlaps", "overlaps", "{:.0f}"),
     ("Min Quality", "min_quality", "{:.3f}"),
-    ("Pack Fill", "fill", "{:.0%}"),
-    ("Texel Density", "texel_density", "{:.4g} px/m"),
     ("Density Ratio", "density_ratio", "{:.2f}"),
 )
-
-
 ONLY_IF_SET = {"stacked", "tiles", "density_ratio"}  # Metrics that are not drawn where they are 0 or 1.
+PANEL, EDITOR_PANEL = "FARFIELD_PT_unwrap", "FARFIELD_PT_unwrap_uv_editor"
 
 
-class FARFIELD_PT_unwrap(SettingsPanel, ToolPanel, bpy.types.Panel):
-    """Settings, the Unwrap button, and the metrics of the active object's UV map."""
+class UnwrapSettingsPanel(SettingsPanel):
+    """Mixin of the panels that show settings of an unwrap."""
 
-    bl_idname = "FARFIELD_PT_unwrap"
+    settings, property_name = describe(UnwrapSettings), "farfield_unwrap"
+
+    def draw_setting(self, layout: bpy.types.UILayout, context: bpy.types.Context, item: Description) -> None:
+        """Draw one setting: a search field for the vertex group, and buttons that read the direction or the texel density."""
+        if item.name == "vertex_group" and context.active_object is not None and context.active_object.type == "MESH":
+            layout.prop_search(context.scene.farfield_unwrap, item.name, context.active_object, "vertex_groups")
+            return
+        super().draw_setting(layout, context, item)
+        if item.name == "direction" and self.bl_space_type == "VIEW_3D":
+            layout.operator(FARFIELD_OT_unwrap_direction.bl_idname, text="From View", icon="VIEW3D")
+        if item.name == "texel_density":
+            layout.operator(FARFIELD_OT_unwrap_texel_density.bl_idname, text="From Active UV Map", icon="EYEDROPPER")
+
+
+class UnwrapPanel(UnwrapSettingsPanel, ToolPanel):
+    """Mixin of the panels in the 3D Viewport and the UV Editor: settings, the Unwrap button, and a summary of the active object's map."""
+
     bl_label = "View-Dependent Unwrap"
     page = "unwrap"
-    bl_options = {"DEFAULT_CLOSED"}
-    settings, property_name = describe(UnwrapSettings), "farfield_unwrap"
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the settings that count. While a job runs they are disabled and the progress bar replaces the button."""
@@ -58,36 +76,118 @@ class FARFIELD_PT_unwrap(SettingsPanel, ToolPanel, bpy.types.Panel):
             return
         draw_button(layout, FARFIELD_OT_unwrap, "Unwrap", "UV")
         if is_unwrapped(context.active_object):
-            draw_metrics(layout, uv_maps.read_metrics(context.active_object.data), uv_maps.read_texel_densities(context.active_object.data))
+            mesh = context.active_object.data
+            draw_metrics(layout, SUMMARY, uv_maps.read_metrics(mesh), uv_maps.read_texel_densities(mesh))
             row = layout.row(align=True)
             row.operator(FARFIELD_OT_unwrap_overlay.bl_idname, text="Show Stretch", icon="OVERLAY", depress=overlay.is_shown)
             row.operator(FARFIELD_OT_unwrap_stretch_image.bl_idname, text="", icon="IMAGE_DATA")
 
-    def draw_setting(self, layout: bpy.types.UILayout, context: bpy.types.Context, item: Description) -> None:
-        """Draw one setting: a search field for the vertex group, and a button below the direction that sets it from the view."""
-        if item.name == "vertex_group" and context.active_object is not None and context.active_object.type == "MESH":
-            layout.prop_search(context.scene.farfield_unwrap, item.name, context.active_object, "vertex_groups")
-            return
-        super().draw_setting(layout, context, item)
-        if item.name == "direction":
-            layout.operator(FARFIELD_OT_unwrap_direction.bl_idname, text="From View", icon="VIEW3D")
-        if item.name == "texel_density":
-            layout.operator(FARFIELD_OT_unwrap_texel_density.bl_idname, text="From Active UV Map", icon="EYEDROPPER")
+
+class MetricsPanel(SidebarPanel):
+    """Mixin of the sub-panels with all metrics."""
+
+    bl_label = "Distortion"
+    bl_options: ClassVar[set[str]] = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Return whether the active object has been unwrapped."""
+        return is_unwrapped(context.active_object)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the metrics of the active object's UV map."""
+        draw_metrics(self.layout, METRICS, uv_maps.read_metrics(context.active_object.data))
 
 
-def draw_metrics(layout: bpy.types.UILayout, metrics: dict[str, float], texel_densities: dict[str, float]) -> None:
-    """Draw the metrics of a UV map, and the texel density of each; some only where there is something to tell."""
+class FARFIELD_PT_unwrap(UnwrapPanel, bpy.types.Panel):
+    """The panel in the 3D Viewport."""
+
+    bl_idname = PANEL
+    bl_options = {"DEFAULT_CLOSED"}
+
+
+class FARFIELD_PT_unwrap_metrics(MetricsPanel, bpy.types.Panel):
+    """The metrics in the 3D Viewport."""
+
+    bl_idname = f"{PANEL}_metrics"
+    bl_parent_id = PANEL
+
+
+class EditorSettingsPanel(UnwrapSettingsPanel):
+    """Mixin of the panels of settings in the UV Editor."""
+
+    bl_space_type = "IMAGE_EDITOR"
+
+
+class FARFIELD_PT_unwrap_uv_editor(EditorSettingsPanel, UnwrapPanel, bpy.types.Panel):
+    """The panel in the UV Editor."""
+
+    bl_idname = EDITOR_PANEL
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Return whether the Image Editor is a UV Editor."""
+        return context.area is not None and context.area.ui_type == "UV"
+
+
+class FARFIELD_PT_unwrap_uv_editor_metrics(MetricsPanel, bpy.types.Panel):
+    """The metrics in the UV Editor."""
+
+    bl_idname = f"{EDITOR_PANEL}_metrics"
+    bl_parent_id = EDITOR_PANEL
+    bl_space_type = "IMAGE_EDITOR"
+
+
+def draw_metrics(
+    layout: bpy.types.UILayout,
+    rows: Sequence[tuple[str, str, str]],
+    metrics: dict[str, float],
+    texel_densities: dict[str, float] | None = None,
+) -> None:
+    """Draw metrics of a UV map, some only where there is something to tell, and the texel density of each where there are several.
+
+    rows: label, name and format of each metric.
+    """
     columns = layout.box().row()
     labels, values = columns.column(align=True), columns.column(align=True)
     values.alignment = "RIGHT"
-    for label, key, number_format in METRICS:
+    for label, key, number_format in rows:
         if metrics.get(key, 0.0) not in (0.0, 1.0) or key not in ONLY_IF_SET:
             labels.label(text=label)
             values.label(text=number_format.format(metrics.get(key, 0.0)))
-    for name, density in texel_densities.items() if len(texel_densities) > 1 else ():
-        labels.label(text=name, icon="UV")
+    for name, density in (texel_densities or {}).items() if len(texel_densities or {}) > 1 else ():
+        labels.label(text=name, icon="GROUP_UVS")
         values.label(text=f"{density:.4g} px/m")
 
 
-CLASSES = (FARFIELD_PT_unwrap,)
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+def draw_menu(self: bpy.types.Menu, _context: bpy.types.Context) -> None:
+    """Add the operators to the menu *UV* of the UV Editor and the 3D Viewport, where search finds them as well."""
+    self.layout.separator()
+    self.layout.operator(FARFIELD_OT_unwrap.bl_idname)
+    self.layout.operator(FARFIELD_OT_unwrap_overlay.bl_idname)
+
+
+CLASSES = (
+    FARFIELD_PT_unwrap,
+    *sub_panels(UnwrapSettingsPanel, PANEL),
+    FARFIELD_PT_unwrap_metrics,
+    FARFIELD_PT_unwrap_uv_editor,
+    *sub_panels(EditorSettingsPanel, EDITOR_PANEL),
+    FARFIELD_PT_unwrap_uv_editor_metrics,
+)
+MENUS = ("IMAGE_MT_uvs", "VIEW3D_MT_uv_map")
+register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSES)
+
+
+def register() -> None:
+    """Register the panels and extend the menus."""
+    register_classes()
+    for name in MENUS:
+        getattr(bpy.types, name).append(draw_menu)
+
+
+def unregister() -> None:
+    """Undo `register`."""
+    for name in MENUS:
+        getattr(bpy.types, name).remove(draw_menu)
+    unregister_classes()

@@ -7,7 +7,7 @@ import pytest
 
 from farfield.addon.bridge.unwrap import uv_maps
 from farfield.addon.operators.unwrap import operators
-from farfield.addon.panels.unwrap import METRICS, ONLY_IF_SET, draw_metrics
+from farfield.addon.panels.unwrap import METRICS, draw_metrics
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 
@@ -44,8 +44,8 @@ def test_metrics_of_another_type_are_ignored(value):
     assert not bpy.ops.farfield.unwrap_stretch_image.poll()
     item.data[uv_maps.METRICS_PROPERTY] = {"l2": 1.5, "linf": math.inf, "p95": "text"}
     assert uv_maps.read_metrics(item.data) == {"l2": 1.5, "linf": math.inf} and operators.is_unwrapped(item)
-    draw_metrics(layout, uv_maps.read_metrics(item.data), uv_maps.read_texel_densities(item.data))
-    assert len(layout.texts) == 2 * (len(METRICS) - len(ONLY_IF_SET)) and "1.500" in layout.texts and "inf" in layout.texts
+    draw_metrics(layout, METRICS, uv_maps.read_metrics(item.data), uv_maps.read_texel_densities(item.data))
+    assert len(layout.texts) == 2 * len(METRICS) - 2 and "1.500" in layout.texts and "inf" in layout.texts
 
 
 @pytest.mark.parametrize(("data_type", "domain"), [("FLOAT_VECTOR", "FACE"), ("STRING", "FACE"), ("FLOAT", "POINT")])

@@ -76,7 +76,7 @@ def turn_upright(uv: np.ndarray, triangles: np.ndarray, vertices: np.ndarray) ->
     up = 0.5 * np.einsum("tc,tci->i", heights, edges[..., ::-1] * [-1.0, 1.0])  # The gradient of height, times area, summed.
     area = float(np.linalg.norm(scaled_normals(vertices[triangles]), axis=1).sum()) * 0.5
     length = float(np.linalg.norm(up))
-    if length < MIN_UPRIGHT_GRADIENT * np.sqrt(area * float(signed_areas(corners).sum())):
+    if length <= max(MIN_UPRIGHT_GRADIENT * np.sqrt(area * float(signed_areas(corners).sum())), TINY):
         return None
     sine, cosine = up / length
     return uv @ np.array([[cosine, sine], [-sine, cosine]])

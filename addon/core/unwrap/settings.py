@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from ..settings import Choice, Settings, Unit, setting
 from .texture import Texture
 
+OPTIONS = "Options"  # The sub-panel of settings that are rarely changed.
 IMPORTANCE = {
     "uniform": Choice("Uniform", "The same texel density everywhere"),
     "direction": Choice("Direction", "Higher density on all faces towards the direction, uniformly"),
@@ -53,32 +54,12 @@ class UnwrapSettings(Settings):
         maximum=64.0,
         used_if={"importance": tuple(value for value in IMPORTANCE if value != "uniform")},
     )
-    min_quality: float = setting(
-        0.0,
-        "Minimum height-to-base ratio of UV triangles. Use 0.05 to 0.15 to avoid cracks along thin triangles; 0 disables the limit",
-        minimum=0.0,
-        maximum=0.3,
-    )
-    balance: str = setting(
-        "balanced",
-        "Distortion to minimize: of faces that are too small, or also of faces that are too large in the UV map",
-        choices=BALANCES,
-    )
     islands: str = setting("creases", "How the surface is divided into UV islands", choices=ISLANDS)
-    further_cuts: bool = setting(True, "Also cut strongly distorted parts. When off, parts are only cut where necessary")
-    boundary: str = setting("free", "Shape of the boundary of each UV island", choices=BOUNDARIES)
     texture_size: tuple = setting(
         (2048, 2048),
         "Width and height of the texture in pixels. UV islands keep their proportions on a texture that is not square",
         minimum=16,
         maximum=32768,
-    )
-    margin: int = setting(
-        8,
-        "Minimum distance of UV islands from each other and from the border, in pixels of the texture",
-        minimum=0,
-        maximum=512,
-        unit=Unit.PIXELS,
     )
     texel_density: float = setting(
         0.0,
@@ -86,12 +67,42 @@ class UnwrapSettings(Settings):
         minimum=0.0,
         maximum=1e6,
     )
-    max_tiles: int = setting(1, "Maximum number of UDIM tiles, with the UDIM numbers 1001, 1002 and so on", minimum=1, maximum=100)
-    orientation: str = setting("auto", "How UV islands of walls and other vertical surfaces are turned", choices=ORIENTATIONS)
-    stack: bool = setting(
-        False, "Give equal parts and UV islands the same place in the UV map, so that they share texels", label="Stack Equal Islands"
+    margin: int = setting(
+        8,
+        "Minimum distance of UV islands from each other and from the border, in pixels of the texture",
+        minimum=0,
+        maximum=512,
+        unit=Unit.PIXELS,
+        group=OPTIONS,
     )
-    uv_map: str = setting("Unwrap", "Name of the UV map, created if missing")
+    max_tiles: int = setting(
+        1, "Maximum number of UDIM tiles, with the UDIM numbers 1001, 1002 and so on", minimum=1, maximum=100, group=OPTIONS
+    )
+    orientation: str = setting(
+        "auto", "How UV islands of walls and other vertical surfaces are turned", choices=ORIENTATIONS, group=OPTIONS
+    )
+    stack: bool = setting(
+        False,
+        "Give equal parts and UV islands the same place in the UV map, so that they share texels",
+        label="Stack Equal Islands",
+        group=OPTIONS,
+    )
+    balance: str = setting(
+        "balanced",
+        "Distortion to minimize: of faces that are too small, or also of faces that are too large in the UV map",
+        choices=BALANCES,
+        group=OPTIONS,
+    )
+    min_quality: float = setting(
+        0.0,
+        "Minimum height-to-base ratio of UV triangles. Use 0.05 to 0.15 to avoid cracks along thin triangles; 0 disables the limit",
+        minimum=0.0,
+        maximum=0.3,
+        group=OPTIONS,
+    )
+    further_cuts: bool = setting(True, "Also cut strongly distorted parts. When off, parts are only cut where necessary", group=OPTIONS)
+    boundary: str = setting("free", "Shape of the boundary of each UV island", choices=BOUNDARIES, group=OPTIONS)
+    uv_map: str = setting("Unwrap", "Name of the UV map, created if missing", group=OPTIONS)
 
     @property
     def texture(self) -> Texture:
