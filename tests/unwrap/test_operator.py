@@ -92,6 +92,17 @@ def test_concave_polygons_are_not_cut():
     assert_is_valid(item)
 
 
+@pytest.mark.parametrize("islands", ["creases", "one", "atlas"])
+def test_quads_that_are_not_flat_are_not_cut(islands):
+    """Where a polygon is cut, the map in the mesh is another one than the map that was measured."""
+    bpy.ops.mesh.primitive_monkey_add()
+    item = bpy.context.object
+    unwrap(islands=islands)
+    expected = uv_maps.read_metrics(item.data)["texel_density"]
+    assert uv_maps.read_texel_densities(item.data)["Unwrap"] == pytest.approx(expected, rel=1e-5)
+    assert signed_areas(read_corner_uvs(item)[0]).min() > 0.0
+
+
 def test_unwrapping_again_overwrites_the_same_map():
     item = add_sphere()
     unwrap()

@@ -34,7 +34,7 @@ def find(*meshes: TriangleMesh, density: list | None = None):
     labels = np.repeat(np.arange(len(meshes)), counts)
     mesh = concatenate(list(meshes))
     densities = np.ones(len(labels)) if density is None else np.repeat(density, counts)
-    return mesh, labels, run_to_end(find_copies(mesh.corners, labels, densities))
+    return mesh, labels, run_to_end(find_copies(mesh.corners, labels, densities, np.arange(len(labels))))
 
 
 def unwrap_stacked(mesh: TriangleMesh, **settings):
@@ -71,6 +71,16 @@ def test_parts_with_another_density_are_no_copies():
     original = box(cuts=1)
     assert not find(original, original, density=[1.0, 2.0])[2].is_copy.any()
     assert find(original, original, density=[2.0, 2.0])[2].is_copy.sum() == len(original.triangles)
+
+
+def test_a_copy_with_larger_polygons_is_no_copy():
+    """The original may be cut where the copy must not."""
+    original = sheet(2)
+    mesh, count = concatenate([original, moved(original, 3)]), len(original.triangles)
+    labels, ones = np.repeat([0, 1], count), np.ones(2 * count)
+    for first, second, is_found in ((1, 2, False), (2, 1, True), (2, 2, True)):
+        polygon_ids = np.concatenate([np.arange(count) // first, 100 + np.arange(count) // second])
+        assert run_to_end(find_copies(mesh.corners, labels, ones, polygon_ids)).is_copy.any() == is_found
 
 
 def test_both_sides_of_a_card_are_matched_to_the_right_side():

@@ -58,7 +58,7 @@ def pack(surface: Chart, charts: list[CutChart], uvs: list[np.ndarray], texture:
     corner_uvs, labels = _combine(charts, uvs, len(surface.triangles))
     copies = Copies.none(len(labels))
     if stack:
-        copies = yield from find_copies(surface.vertices[surface.triangles], labels, surface.density)
+        copies = yield from find_copies(surface.vertices[surface.triangles], labels, surface.density, surface.polygon_ids)
     return (yield from _pack_separate(PackedMap(charts, uvs, corner_uvs, labels, copies, 0, 0), texture))
 
 

@@ -81,13 +81,14 @@ class _Group:
         return int(np.lexsort((-self.areas, np.where(is_large, frequencies[kinds.reshape(-1)], len(keys) + 1)))[0])
 
 
-def find_copies(corners: np.ndarray, labels: np.ndarray, density: np.ndarray) -> Steps[Copies]:
+def find_copies(corners: np.ndarray, labels: np.ndarray, density: np.ndarray, polygon_ids: np.ndarray) -> Steps[Copies]:
     """Return which groups of triangles are copies of an earlier one.
 
     Args:
         corners: (T, 3, 3) positions.
         labels: (T,) the group of each triangle, from 0.
         density: (T,) texel density that each triangle is to have.
+        polygon_ids: (T,) the polygon of each triangle; those of a copy must not be cut.
     """
     copies = Copies.none(len(corners))
     models: dict[int, list[_Group]] = {}
@@ -105,7 +106,9 @@ def find_copies(corners: np.ndarray, labels: np.ndarray, density: np.ndarray) ->
                 continue
             sources = model.triangles[match[0]]
             ratios = density[members] / density[sources]
-            if max(ratios.max(), 1.0 / ratios.min()) <= MAX_DENSITY_RATIO:
+            polygons = np.stack([polygon_ids[members], polygon_ids[sources]], axis=1)
+            has_same_polygons = len(np.unique(polygons, axis=0)) == len(np.unique(polygons[:, 0]))
+            if has_same_polygons and max(ratios.max(), 1.0 / ratios.min()) <= MAX_DENSITY_RATIO:
                 copies.sources[members], copies.turns[members] = sources, match[1]
                 break
         else:

@@ -88,7 +88,7 @@ def unwrap(
     density = settings.density_ratio**importance
     parts, copies = np.zeros(len(density), np.int64), Copies.none(len(density))
     if settings.stack:
-        parts, copies = yield from subprogress(_find_equal_parts(mesh, density, seams), 0.0, 0.0)
+        parts, copies = yield from subprogress(_find_equal_parts(mesh, density, polygon_ids, seams), 0.0, 0.0)
     kept = np.flatnonzero(~copies.is_copy)
     surface = Chart(mesh.vertices, mesh.triangles[kept], density[kept], polygon_ids[kept])
     if settings.islands == "atlas":
@@ -132,12 +132,14 @@ def unwrap(
     return UnwrapResult(corner_uvs, stretches, metrics, chart_count, stacked_count, packed.tile_count, packed.is_upright, seconds)
 
 
-def _find_equal_parts(mesh: TriangleMesh, density: np.ndarray, seams: np.ndarray) -> Steps[tuple[np.ndarray, Copies]]:
+def _find_equal_parts(
+    mesh: TriangleMesh, density: np.ndarray, polygon_ids: np.ndarray, seams: np.ndarray
+) -> Steps[tuple[np.ndarray, Copies]]:
     """Return the connected part (T,) of each triangle, and which are copies of parts that are equal, also in their seams."""
     surface = Chart(mesh.vertices, mesh.triangles, density)
     halfedges, has_seam = yield from connect_triangles(surface, seams)
     _, parts = label_components(len(mesh.triangles), halfedges)
-    copies = yield from find_copies(mesh.corners, parts, density)
+    copies = yield from find_copies(mesh.corners, parts, density, polygon_ids)
     is_equal = np.bincount(parts, has_seam != has_seam[copies.sources]) == 0
     sources = np.where(is_equal[parts], copies.sources, np.arange(len(parts)))
     return parts, Copies(sources, np.where(is_equal[parts], copies.turns, 0))

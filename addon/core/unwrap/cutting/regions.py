@@ -43,6 +43,8 @@ def divide_at_creases(
     is_marked = np.bincount(component, has_seam, total) > 0
     yield Progress(0.0, "Finding creases")
     creases = find_creases(vertices, triangles, halfedges) & ~is_marked[component[halfedges[:, 0] // 3]]
+    if surface.polygon_ids is not None:
+        creases &= surface.polygon_ids[halfedges[:, 0] // 3] != surface.polygon_ids[halfedges[:, 1] // 3]
     yield Progress(0.0, "Finding creases")
     regions = _absorb_bevels(surface, halfedges, creases)
     yield Progress(0.0, "Finding creases")
