@@ -64,7 +64,12 @@ def session() -> Iterator[float]:
     save_screenshot("4-stretch")
     properties = next(area for area in user.window.screen.areas if area.type == "DOPESHEET_EDITOR" or area.type == "PROPERTIES")
     properties.ui_type = "UV"
+    properties.spaces.active.show_region_ui = True
     yield 3.0
+    sidebar = next(region for region in properties.regions if region.type == "UI")
+    sidebar.active_panel_category = "Farfield"
+    yield 3.0
+    results["category"] = sidebar.active_panel_category
     save_screenshot("5-uv-editor")
     x, y = yield from user.find_button("farfield.unwrap_overlay")
     user.press("LEFTMOUSE", x, y)

@@ -32,5 +32,9 @@ def test_the_button_toggles_the_stretch_overlay(results):
     assert results["overlay_shown"] and results["overlay_hidden"]
 
 
+def test_the_uv_editor_has_the_panel(results):
+    assert results["category"] == "Farfield"
+
+
 def test_one_undo_removes_the_uv_map(results):
     assert results["uv_maps_after_undo"] == []

@@ -5,7 +5,8 @@ import pytest
 
 from charts import urchin
 from farfield.addon.core.geometry.edges import find_edges
-from farfield.addon.core.geometry.mesh import TriangleMesh, concatenate
+from farfield.addon.core.geometry.mesh import TriangleMesh, concatenate, scaled_normals
+from farfield.addon.core.geometry.transforms import signed_areas
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.unwrap.cutting.creases import find_creases, fold_angles
 from farfield.addon.core.unwrap.cutting.welding import pair_doubled_edges
@@ -17,9 +18,10 @@ BRACKET = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 0.4], [0.4, 0.4], [0.4, 2.0], 
 BRACKET_TRIANGLES = [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]]
 
 
-def unwrap_mesh(mesh: TriangleMesh, **settings) -> UnwrapResult:
+def unwrap_mesh(mesh: TriangleMesh, importance: np.ndarray | None = None, **settings) -> UnwrapResult:
     count = len(mesh.triangles)
-    result = run_to_end(unwrap(mesh, np.arange(count), np.zeros((0, 2), int), np.zeros(count), UnwrapSettings(**settings)))
+    importance = np.zeros(count) if importance is None else importance
+    result = run_to_end(unwrap(mesh, np.arange(count), np.zeros((0, 2), int), importance, UnwrapSettings(**settings)))
     assert result.metrics.flips == result.metrics.overlaps == 0
     return result
 
@@ -142,3 +144,33 @@ def test_a_tube_with_open_ends_is_one_strip():
     result = unwrap_mesh(mesh)
     assert result.chart_count == 1
     assert find_seams(mesh, result.corner_uvs)[1].sum() == pytest.approx(2.0)
+
+
+def texel_densities(mesh: TriangleMesh, corner_uvs: np.ndarray) -> np.ndarray:
+    """Area in the map over area on the surface (T,)."""
+    return np.abs(signed_areas(corner_uvs)) / (0.5 * np.linalg.norm(scaled_normals(mesh.corners), axis=1))
+
+
+def test_important_faces_of_a_box_get_exactly_their_density_along_creases():
+    mesh = merged(box((2.0, 1.0, 1.0), cuts=2))
+    is_important = scaled_normals(mesh.corners)[:, 2] > 0.0
+    result = unwrap_mesh(mesh, is_important.astype(float), density_ratio=9.0)
+    densities = texel_densities(mesh, result.corner_uvs)
+    assert densities[is_important] == pytest.approx(9.0 * densities[~is_important].mean())
+    halfedges, _ = find_seams(mesh, result.corner_uvs)
+    assert fold_angles(mesh.vertices, mesh.triangles, halfedges) == pytest.approx(0.5 * np.pi)
+    assert 2 <= result.chart_count <= 4
+
+
+def test_density_varies_inside_of_an_island_along_creases():
+    mesh = merged(box((1.0, 1.0, 3.0), cuts=6))
+    importance = mesh.corners[..., 2].mean(axis=1) / 3.0 + 0.5
+    result = unwrap_mesh(mesh, importance, density_ratio=4.0)
+    densities = texel_densities(mesh, result.corner_uvs)
+    assert 2.5 < densities[importance > 0.9].mean() / densities[importance < 0.1].mean() < 5.0
+
+
+def test_equal_importance_everywhere_changes_nothing():
+    mesh = merged(box(cuts=2))
+    important = unwrap_mesh(mesh, np.ones(len(mesh.triangles)))
+    np.testing.assert_allclose(important.corner_uvs, unwrap_mesh(mesh).corner_uvs, atol=1e-9)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..geometry.edges import halfedge_ends
-from ..geometry.mesh import TriangleMesh
+from ..geometry.mesh import TriangleMesh, face_areas_and_normals
 from ..geometry.transforms import signed_areas
 from ..jobs.progress import Progress, Steps
 from .cutting.chart import Chart, split_into_components
@@ -20,6 +20,7 @@ MAX_ISLAND_SIDES = 1.25, 0.9, 0.65  # Limits of merged islands that are tried in
 GOOD_FILL = 0.6  # until so much of the square is used. The next one must use it better by
 MIN_FILL_GAIN = 1.08  # at least this factor.
 MAX_ISLANDS_FOR_CHOICE = 40  # More islands fit in any case.
+MAX_SCALE_DIFFERENCE = 0.02  # Between pieces that are sewn together, as a fraction.
 MIN_UPRIGHT_FILL = 0.98  # Of the texture with upright islands, relative to the fill with freely turned ones.
 
 
@@ -77,6 +78,13 @@ def _pack_separate(packed: PackedMap, texture: Texture, may_turn: list[bool] | N
     )
 
 
+def _find_scales(surface: Chart, labels: np.ndarray) -> np.ndarray:
+    """Return lengths in the map over lengths on the surface (T,), from the mean density of each piece, `labels` (T,)."""
+    areas = face_areas_and_normals(surface.vertices[surface.triangles])[0]
+    sums, weighted = np.bincount(labels, areas), np.bincount(labels, areas * surface.density)
+    return np.sqrt(np.divide(weighted, sums, out=np.ones(len(sums)), where=weighted > 0.0))[labels]
+
+
 def pack_upright(packed: PackedMap, texture: Texture, always: bool) -> Steps[PackedMap]:
     """Return a packed map with charts of vertical surfaces upright, or the map before where that is filled better."""
     upright = [turn_upright(uv, cut.chart.triangles, cut.chart.vertices) for cut, uv in zip(packed.charts, packed.uvs, strict=True)]
@@ -103,11 +111,13 @@ def merge_and_pack(
     add seams."""
     corner_uvs, labels = _combine(charts, uvs, len(surface.triangles))
     mesh = TriangleMesh(surface.vertices, surface.triangles)
-    labels = divide_long_pieces(mesh, surface.polygon_ids, corner_uvs, labels, halfedges)
+    scales = _find_scales(surface, labels)
+    halfedges = halfedges[np.abs(np.log(np.divide(*scales[halfedges // 3].T))) <= MAX_SCALE_DIFFERENCE]
+    labels = divide_long_pieces(mesh, surface.polygon_ids, corner_uvs, labels, halfedges, scales)
     lengths = np.linalg.norm(np.subtract(*mesh.vertices[halfedge_ends(mesh.triangles, halfedges[:, 0])].transpose(1, 0, 2)), axis=1)
     best, best_seam = None, np.inf
     for max_side in MAX_ISLAND_SIDES:
-        placed, is_sewn = yield from merge_islands(mesh, corner_uvs, labels, halfedges, max_side)
+        placed, is_sewn = yield from merge_islands(mesh, corner_uvs, labels, halfedges, scales, max_side)
         merged, merged_uvs = [], []
         for chart, members in split_into_components(surface, halfedges[is_sewn]):
             uv = np.stack([np.bincount(chart.triangles.ravel(), axis) for axis in placed[members].reshape(-1, 2).T], axis=1)

@@ -15,17 +15,18 @@ MARGIN = 0.3  # A piece is not cut closer to its ends than this fraction of its 
 
 
 def divide_long_pieces(
-    mesh: TriangleMesh, polygon_ids: np.ndarray, corner_uvs: np.ndarray, labels: np.ndarray, halfedges: np.ndarray
+    mesh: TriangleMesh, polygon_ids: np.ndarray, corner_uvs: np.ndarray, labels: np.ndarray, halfedges: np.ndarray, scales: np.ndarray
 ) -> np.ndarray:
     """Return the piece (T,) of each triangle after cutting long thin pieces across, where that cut is shortest.
 
     Args:
         mesh: T triangles. polygon_ids: (T,); polygons are not cut.
-        corner_uvs: (T, 3, 2) at the scale of the surface.
+        corner_uvs: (T, 3, 2).
         labels: (T,) pieces before.
         halfedges: (I, 2), 3 t + c, pairs across which triangles are connected.
+        scales: (T,) lengths in the map over lengths on the surface, the same in a piece.
     """
-    labels, areas = labels.copy(), face_areas_and_normals(mesh.corners)[0]
+    labels, areas = labels.copy(), face_areas_and_normals(mesh.corners)[0] * scales**2
     side = square_side(corner_uvs, labels)
     halfedges = halfedges[_is_sewn(corner_uvs, halfedges)]
     faces = halfedges // 3

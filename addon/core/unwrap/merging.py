@@ -41,18 +41,19 @@ class _Island:
 
 
 def merge_islands(
-    mesh: TriangleMesh, corner_uvs: np.ndarray, labels: np.ndarray, halfedges: np.ndarray, max_side: float
+    mesh: TriangleMesh, corner_uvs: np.ndarray, labels: np.ndarray, halfedges: np.ndarray, scales: np.ndarray, max_side: float
 ) -> Steps[tuple[np.ndarray, np.ndarray]]:
     """Return the corner UVs (T, 3, 2) of pieces that are moved next to each other, and the pairs of halfedges that are sewn, (I,) bool.
 
     Args:
         mesh: T triangles.
-        corner_uvs: (T, 3, 2) at the scale of the surface.
+        corner_uvs: (T, 3, 2).
         labels: (T,) the piece of each triangle.
         halfedges: (I, 2), 3 t + c, pairs across which triangles may be connected.
+        scales: (T,) lengths in the map over lengths on the surface, about the same on both sides of each pair.
         max_side: of a merged island, relative to the side of a square with the area of the bounding boxes of all pieces.
     """
-    merging = _Merging(mesh, corner_uvs.copy(), labels, halfedges, max_side)
+    merging = _Merging(mesh, corner_uvs.copy(), labels, halfedges, scales, max_side)
     yield from merging.run()
     return merging.corner_uvs, merging.sewn()
 
@@ -60,16 +61,24 @@ def merge_islands(
 class _Merging:
     """The state of a merge: corner UVs, islands, and a heap of pairs of islands by the length of their common border."""
 
-    def __init__(self, mesh: TriangleMesh, corner_uvs: np.ndarray, labels: np.ndarray, halfedges: np.ndarray, max_side: float) -> None:
+    def __init__(
+        self,
+        mesh: TriangleMesh,
+        corner_uvs: np.ndarray,
+        labels: np.ndarray,
+        halfedges: np.ndarray,
+        scales: np.ndarray,
+        max_side: float,
+    ) -> None:
         self.corner_uvs, self._labels = corner_uvs, labels.astype(np.int64)
         faces, corners = halfedges // 3, halfedges % 3
         # The first halfedge runs from start to end, the second one from end to start.
         self._starts = faces, np.stack([(corners[:, 0] + 1) % 3, (corners[:, 1] + 2) % 3], axis=1)
         self._ends = faces, np.stack([(corners[:, 0] + 2) % 3, (corners[:, 1] + 1) % 3], axis=1)
         first, second = mesh.vertices[mesh.triangles[self._starts]], mesh.vertices[mesh.triangles[self._ends]]
-        self._lengths = np.linalg.norm(second[:, 0] - first[:, 0], axis=1)
+        self._lengths = np.linalg.norm(second[:, 0] - first[:, 0], axis=1) * scales[faces[:, 0]]
         self._weights = self._lengths * _preferences(mesh, halfedges)
-        areas, _ = face_areas_and_normals(mesh.corners)
+        areas = face_areas_and_normals(mesh.corners)[0] * scales**2
         self._side = square_side(corner_uvs, labels)
         self._max_side = max_side * self._side
         self._is_blocked = np.zeros(len(halfedges), bool)

@@ -94,7 +94,7 @@ def unwrap(
     if settings.islands == "atlas":
         atlas_seams = find_atlas_seams(TriangleMesh(surface.vertices, surface.triangles), surface.polygon_ids)
         seams = np.concatenate([np.reshape(seams, (-1, 2)), atlas_seams])
-    follows_creases = _follows_creases(settings) and np.ptp(density) == 0.0
+    follows_creases = _follows_creases(settings)
     regions, halfedges = [], np.zeros((0, 2), np.int64)
     if follows_creases:
         halfedges, has_seam = yield from subprogress(connect_triangles(surface, seams), 0.0, CUTTING_END)
@@ -104,6 +104,7 @@ def unwrap(
     seconds["cut"], started = time.perf_counter() - started, time.perf_counter()
     charts, uvs = yield from subprogress(_parameterize_charts(charts, settings), CUTTING_END, PARAMETERIZATION_END)
     charts, uvs = [cut for cut, _ in regions] + charts, [uv for _, uv in regions] + uvs
+    uvs = _scale_to_density(uvs, [cut.chart for cut in charts])
     seconds["parameterize"], started = time.perf_counter() - started, time.perf_counter()
     yield Progress(PARAMETERIZATION_END, "Packing")
     texels_per_unit = settings.texel_density * unit_length / float(np.sqrt(_mean_density(charts, uvs)))
@@ -146,7 +147,7 @@ def _find_equal_parts(
 
 
 def _follows_creases(settings: UnwrapSettings) -> bool:
-    """Return whether surfaces of uniform density are divided along creases."""
+    """Return whether surfaces are divided along creases."""
     return settings.islands == "creases" and settings.further_cuts and settings.boundary == "free"
 
 
@@ -160,7 +161,7 @@ def check_surface(mesh: TriangleMesh, name: str) -> None:
 
 
 def _parameterize_charts(charts: list[CutChart], settings: UnwrapSettings) -> Steps[tuple[list[CutChart], list[np.ndarray]]]:
-    """Return the charts, cut further where necessary, and the uv (V, 2) of each, scaled by its density."""
+    """Return the charts, cut further where necessary, and the uv (V, 2) of each, at any scale."""
     total, done, maps = sum(len(cut.triangle_indices) for cut in charts), 0, []
     for index, cut in enumerate(charts):
         fraction = len(cut.triangle_indices) / total
@@ -168,8 +169,7 @@ def _parameterize_charts(charts: list[CutChart], settings: UnwrapSettings) -> St
         maps += yield from subprogress(_parameterize_chart(cut, settings, MAX_CUT_ROUNDS), done, done + fraction)
         done += fraction
     yield Progress(1.0, "Packing")
-    charts, uvs = [cut for cut, _ in maps], [uv for _, uv in maps]
-    return charts, _scale_to_density(uvs, [cut.chart for cut in charts])
+    return [cut for cut, _ in maps], [uv for _, uv in maps]
 
 
 def _parameterize_chart(cut: CutChart, settings: UnwrapSettings, rounds_left: int) -> Steps[list[tuple[CutChart, np.ndarray]]]:

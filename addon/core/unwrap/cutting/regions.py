@@ -7,6 +7,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from ...arrays import TINY
 from ...geometry.edges import halfedge_ends
 from ...geometry.mesh import face_areas_and_normals, scaled_normals
 from ...geometry.transforms import frame_from_normal, normalize
@@ -22,6 +23,7 @@ MAX_BEVEL_AREA = 0.25  # Of a bevel, as a fraction of its flat region.
 MIN_BEVEL_COSINE = 0.6  # Between normals of a bevel and the mean normal of its flat region.
 MAX_FLAT_EXCESS = 0.02  # Of symmetric Dirichlet energy of a projected region, with its bevels.
 MAX_CREASED_EXCESS = 0.025  # The same of other regions of creased surfaces, which get seams in any case.
+MAX_DENSITY_RATIO, MAX_OTHER_AREA = 1.2, 0.1  # A region gets its mean density if others, up to this ratio, cover no more of it.
 MIN_CREASE_LENGTH = (
     0.5  # Of the borders of regions, relative to the square root of the area; smooth surfaces are not divided at fewer creases.
 )
@@ -31,10 +33,10 @@ MIN_REGION_AREA = 0.003  # Regions with a smaller fraction of the area hardly ma
 def divide_at_creases(
     surface: Chart, halfedges: np.ndarray, has_seam: np.ndarray
 ) -> Steps[tuple[list[tuple[CutChart, np.ndarray]], list[CutChart]]]:
-    """Return the flat regions with the uv (V, 2) of each, and the charts of all others.
+    """Return the flat regions with the uv (V, 2) of each, at the scale of the surface, and the charts of all others.
 
     Args:
-        surface: of uniform density.
+        surface: regions of uneven density are not projected, so that the density can vary inside of them.
         halfedges: (I, 2), 3 t + c, pairs across which triangles are connected.
         has_seam: (T,) bool, triangles at a marked seam; connected components with one are not divided.
     """
@@ -62,15 +64,24 @@ def divide_at_creases(
         yield Progress(done / len(triangles), "Cutting")
         done += len(members)
         may_be_cut = not is_marked[component[members[0]]]
-        uv = _project_flat(region) if may_be_cut else None
+        is_uniform = _is_uniform(region.density, areas[members])
+        uv = _project_flat(region) if may_be_cut and is_uniform else None
         if uv is not None:
             flat.append((CutChart(region, members, may_be_cut), uv))
             continue
         is_small = areas[members].sum() < MIN_REGION_AREA * areas.sum()
-        max_excess = MAX_CREASED_EXCESS if is_creased[component[members[0]]] and not is_small else MAX_EXCESS
+        is_limited = is_creased[component[members[0]]] and is_uniform and not is_small
+        max_excess = MAX_CREASED_EXCESS if is_limited else MAX_EXCESS
         disks = yield from cut_to_disks(region, may_be_cut)
         curved += [CutChart(disk, members[indices], may_be_cut, max_excess) for disk, indices in disks]
     return flat, curved
+
+
+def _is_uniform(density: np.ndarray, areas: np.ndarray) -> bool:
+    """Return whether the mean of `density` (T,) is right for nearly all of the `areas` (T,)."""
+    mean = areas @ density / max(float(areas.sum()), TINY)
+    is_other = (density > MAX_DENSITY_RATIO * mean) | (density * MAX_DENSITY_RATIO < mean)
+    return bool(areas[is_other].sum() <= MAX_OTHER_AREA * areas.sum())
 
 
 def label_components(count: int, halfedges: np.ndarray) -> tuple[int, np.ndarray]:
