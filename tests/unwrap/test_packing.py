@@ -155,3 +155,12 @@ def test_a_chart_is_turned_by_its_world_up():
     np.testing.assert_allclose(upright - upright[0], SQUARE, atol=1e-12)
     floor = np.column_stack([SQUARE, 0.3 * SQUARE[:, 0]])
     assert turn_upright(SQUARE, SQUARE_TRIANGLES, floor) is None
+
+
+def test_tiles_are_not_used_for_a_large_island_alone():
+    """One island fills a tile, so that the others, which are small, cannot get larger: they fit into a second tile."""
+    sides = [[1.0, 1.0]] + [[0.2, 0.15]] * 20
+    packing = run_to_end(pack_charts([SQUARE * side for side in sides], [SQUARE_TRIANGLES] * 21, Texture(max_tiles=10)))
+    dense = run_to_end(pack_charts([SQUARE * side for side in sides], [SQUARE_TRIANGLES] * 21, Texture(max_tiles=10, density=1e4)))
+    assert packing.tile_count == dense.tile_count == 2
+    assert min(packing.density, dense.density) > 0.95 * 2032.0

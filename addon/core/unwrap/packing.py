@@ -10,7 +10,7 @@ from ..geometry.convex_hulls import convex_hull
 from ..geometry.mesh import scaled_normals
 from ..geometry.transforms import signed_areas
 from ..jobs.progress import Steps
-from .raster_packing import Placement, RasterGrid, place_charts
+from .raster_packing import Placement, RasterGrid, max_density, place_charts
 from .texture import Texture, tile_origins
 
 XATLAS_SIDE = 1024  # Texels per side of the square that xatlas packs into.
@@ -18,6 +18,9 @@ XATLAS_PADDING = 1.25  # That square may become larger, and the margin smaller w
 MAX_CHARTS_AS_RASTERS = 1000  # More are packed by xatlas, which is faster but packs into one square only;
 MAX_CHARTS_WITHOUT_XATLAS = 5000  # the limit for other textures.
 MAX_CHART_SIDE = 8 * XATLAS_SIDE  # Texels; the time of xatlas grows with the bounding boxes of charts, however thin they are.
+MAX_TILE_FILL = 0.85  # Tiles that are filled at a given density hardly get fuller.
+DENSITY_STEP, MAX_ATTEMPTS = 0.93, 12  # A density that does not fit is lowered by this factor so many times.
+FEWER_TILES_DENSITY = 0.97  # Charts that fill all tiles to a small part, because one of them is large, fit into fewer ones at this density.
 MIN_UPRIGHT_GRADIENT = 0.5  # Mean gradient of height in a chart, 1 where it is vertical, above which its surface has an upright position.
 QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])  # Turns rows of coordinates counter-clockwise.
 
@@ -58,12 +61,32 @@ def pack_charts(
     packing = _arrange_placed(oriented, triangles, placed, texture)
     if texture.max_tiles == 1 or 0.0 < texture.density <= packing.density:
         return packing
-    placed = None
-    if texture.density > 0.0:
-        placed = yield from place_charts(oriented, triangles, may_turn, grid, texture.max_tiles, texture.density)
-    if placed is None:
+    density = texture.density
+    if density == 0.0:
         placed = yield from place_charts(oriented, triangles, may_turn, grid, texture.max_tiles)
-    return packing if placed is None else _arrange_placed(oriented, triangles, placed, texture)
+        if placed is None:
+            return packing
+        packing = _arrange_placed(oriented, triangles, placed, texture)
+        density = FEWER_TILES_DENSITY * packing.density
+    placed = yield from _place_in_few_tiles(oriented, triangles, may_turn, grid, texture.max_tiles, density)
+    if placed is None:
+        return packing
+    filled = _arrange_placed(oriented, triangles, placed, texture)
+    return filled if texture.density > 0.0 or filled.tile_count < packing.tile_count else packing
+
+
+def _place_in_few_tiles(
+    uvs: list[np.ndarray], triangles: Sequence[np.ndarray], may_turn: Sequence[bool], grid: RasterGrid, max_tiles: int, density: float
+) -> Steps[list[Placement] | None]:
+    """Return the placements of charts in tiles that are filled one after the other, at `density` or the highest one that fits."""
+    area = sum(float(np.abs(signed_areas(uv[faces])).sum()) for uv, faces in zip(uvs, triangles, strict=True))
+    tile_area = float(grid.rows * grid.columns) * grid.cell_texels**2
+    density = min(density, max_density(uvs, may_turn, grid), float(np.sqrt(MAX_TILE_FILL * max_tiles * tile_area / max(area, TINY))))
+    for attempt in range(MAX_ATTEMPTS):
+        placed = yield from place_charts(uvs, triangles, may_turn, grid, max_tiles, density * DENSITY_STEP**attempt)
+        if placed is not None:
+            return placed
+    return None
 
 
 def turn_upright(uv: np.ndarray, triangles: np.ndarray, vertices: np.ndarray) -> np.ndarray | None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft, ndimage
 
+from ..arrays import TINY
 from ..geometry.transforms import signed_areas
 from ..imaging.raster import rasterize
 from ..jobs.progress import Progress, Steps
@@ -83,12 +84,10 @@ def place_charts(
     """
     extents = np.array([np.ptp(uv, axis=0) for uv in uvs])
     area = sum(float(np.abs(signed_areas(uv[faces])).sum()) for uv, faces in zip(uvs, triangles, strict=True))
-    shape = np.array([grid.columns, grid.rows])
-    upright, turned = (extents / shape).max(axis=1), (extents / shape[::-1]).max(axis=1)
-    min_cell = float(np.where(may_turn, np.minimum(upright, turned), upright).max())
+    min_cell = grid.cell_texels / max_density(uvs, may_turn, grid)
     cells = [max(float(np.sqrt(area / max_tiles / fill)) / GRID_SIDE, min_cell / 0.9) for fill in EXPECTED_FILLS]
     if density > 0.0:
-        cells = [grid.cell_texels / density] if min_cell * density <= grid.cell_texels else []
+        cells = [grid.cell_texels / density] if min_cell * density <= grid.cell_texels * (1.0 + 1e-9) else []
     for cell in cells:
         expected = area / cell**2 + (1 + grid.gap) * float(extents.sum()) / cell  # Covered cells and those at boundaries, approximately.
         if expected > MAX_RASTER_FILL * GRID_SIDE**2 * max_tiles and density == 0.0:
@@ -111,6 +110,13 @@ def place_charts(
             *_, placed = min(packings, key=lambda packing: packing[:2])
             return [Placement(tile, turns, cell * (np.array([column, row]) + border)) for tile, turns, row, column in placed]
     return None
+
+
+def max_density(uvs: Sequence[np.ndarray], may_turn: Sequence[bool], grid: RasterGrid) -> float:
+    """Return the texels per unit of `uvs` (V, 2) at which the largest chart just fits into a tile. may_turn: as for `place_charts`."""
+    shape, extents = np.array([grid.columns, grid.rows]), np.array([np.ptp(uv, axis=0) for uv in uvs])
+    upright, turned = (extents / shape).max(axis=1), (extents / shape[::-1]).max(axis=1)
+    return grid.cell_texels / max(float(np.where(may_turn, np.minimum(upright, turned), upright).max()), TINY)
 
 
 def _rasterize(uv: np.ndarray, triangles: np.ndarray, gap: int, turn_count: int) -> _Raster:
