@@ -18,10 +18,14 @@ from ..energies.stretch_energy import compute_jacobians
 MAX_EXCESS = 0.01  # Of symmetric Dirichlet energy; other charts need a descent of energy.
 MAX_TRIANGLE_ENERGY = 3.0  # The energy of any triangle, relative to that of an isometry.
 SOLVES = 6  # Of the local/global method.
+MAX_TRIANGLES = 50_000  # A factorization of more takes longer, and much more memory, than a descent from coarse to fine.
 
 
 def flatten_mild(chart: Chart) -> np.ndarray | None:
-    """Return uv (V, 2) of a chart, a disk, possibly with holes, without overlaps; None where distortion exceeds `MAX_EXCESS`."""
+    """Return uv (V, 2) of a chart, a disk, possibly with holes, without overlaps; None where distortion exceeds `MAX_EXCESS`, or the chart
+    has more than `MAX_TRIANGLES`."""
+    if len(chart.triangles) > MAX_TRIANGLES:
+        return None
     scale = 1.0 / max(float(np.ptp(chart.vertices, axis=0).max()), TINY)
     shapes = compute_rest_shapes((chart.vertices[chart.triangles] - chart.vertices[0]) * scale)
     if not shapes.areas.min() > 0.0:
