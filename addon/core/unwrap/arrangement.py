@@ -114,6 +114,9 @@ def merge_and_pack(
     scales = _find_scales(surface, labels)
     halfedges = halfedges[np.abs(np.log(np.divide(*scales[halfedges // 3].T))) <= MAX_SCALE_DIFFERENCE]
     labels = divide_long_pieces(mesh, surface.polygon_ids, corner_uvs, labels, halfedges, scales)
+    sides = labels[halfedges // 3]
+    if (sides[:, 0] == sides[:, 1]).all():  # There is nothing to merge.
+        return (yield from pack(surface, charts, uvs, texture, stack))
     lengths = np.linalg.norm(np.subtract(*mesh.vertices[halfedge_ends(mesh.triangles, halfedges[:, 0])].transpose(1, 0, 2)), axis=1)
     best, best_seam = None, np.inf
     for max_side in MAX_ISLAND_SIDES:

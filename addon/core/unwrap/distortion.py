@@ -7,6 +7,7 @@ import numpy as np
 from ..geometry.mesh import TriangleMesh, face_areas_and_normals
 from ..geometry.transforms import signed_areas
 from ..imaging.raster import fill_triangles
+from ..jobs.chunks import slices
 from ..jobs.progress import Progress, Steps
 from .energies.rest_shapes import compute_rest_shapes
 from .energies.shape_barrier import min_height_to_base
@@ -16,6 +17,7 @@ from .parameterization.density_control import compute_density_ratio
 from .texture import Texture, compute_texel_density
 
 NEGLIGIBLE_AREA = 1e-9  # The stretch of triangles below this fraction of the mean area is rounding noise.
+TRIANGLES_AT_ONCE = 1 << 16  # Measured together, which bounds the memory.
 PERCENTILES = 95.0, 99.0
 MAX_ANISOTROPY = 4.0  # Above it a texture visibly smears along a line.
 MAX_NEEDLE_EXPANSION = 4.0  # Triangles that are longer in the map than this multiple, and anisotropic, are needles.
@@ -97,17 +99,17 @@ class DistortionMetrics:
 
 def compute_stretches(mesh: TriangleMesh, corner_uvs: np.ndarray) -> Steps[Stretches]:
     """Return the stretch of every triangle of `mesh` in a UV map `corner_uvs` (T, 3, 2)."""
-    uv = corner_uvs.reshape(-1, 2)
-    shapes = compute_rest_shapes(mesh.corners)
-    yield Progress(0.0, "Measuring")
-    jacobians = compute_jacobians(shapes, np.arange(len(uv)).reshape(-1, 3), uv)
-    determinants = jacobians.determinants
-    areas, _ = face_areas_and_normals(mesh.corners)
-    yield Progress(0.0, "Measuring")
+    count = len(corner_uvs)
+    areas, determinants, largest = np.empty(count), np.empty(count), np.empty(count)
+    for part in slices(count, TRIANGLES_AT_ONCE):
+        yield Progress(part.start / count, "Measuring")
+        corners, uv = mesh.vertices[mesh.triangles[part]], corner_uvs[part].reshape(-1, 2)
+        jacobians = compute_jacobians(compute_rest_shapes(corners), np.arange(len(uv)).reshape(-1, 3), uv)
+        areas[part], determinants[part] = face_areas_and_normals(corners)[0], jacobians.determinants
+        # Singular values s1 >= s2 from s1^2 + s2^2 and s1 s2; s2 = determinant / s1 keeps precision.
+        half_difference = np.sqrt(np.maximum(jacobians.frobenius_squared**2 - 4.0 * jacobians.determinants**2, 0.0))
+        largest[part] = np.sqrt(0.5 * (jacobians.frobenius_squared + half_difference))
     scale = np.sqrt(areas @ np.abs(determinants) / (areas.sum() or 1.0))
-    # Singular values s1 >= s2 from s1^2 + s2^2 and s1 s2; s2 = determinant / s1 keeps precision.
-    half_difference = np.sqrt(np.maximum(jacobians.frobenius_squared**2 - 4.0 * determinants**2, 0.0))
-    largest = np.sqrt(0.5 * (jacobians.frobenius_squared + half_difference))
     absolute = np.abs(determinants)
     with np.errstate(divide="ignore", invalid="ignore"):
         return Stretches(
