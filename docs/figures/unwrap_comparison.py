@@ -49,6 +49,7 @@ def duplicate(item: bpy.types.Object) -> bpy.types.Object:
     copy = item.copy()
     copy.data = item.data.copy()
     bpy.context.collection.objects.link(copy)
+    bpy.context.view_layer.update()
     return copy
 
 
