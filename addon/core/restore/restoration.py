@@ -9,7 +9,9 @@ from ..imaging.diffusion import diffuse
 from ..imaging.images import decode_normals
 from ..jobs.chunks import slices
 from ..jobs.progress import Progress, StageClock, Steps, subprogress
+from .contours import join_contours
 from .frequency_split import LowBand, choose_sub_bands
+from .guidance import build_guide
 from .levels import RADIUS, Page, build_levels
 from .settings import RestoreSettings
 from .texture import fill_texture
@@ -90,9 +92,15 @@ def restore(
         windows = find_windows(mask, settings.tileable)
     with clock.stage("first fill"):
         pixels = np.where(mask[..., None], np.float32(0.0), image).astype(np.float32, copy=False)
+        curves: list[np.ndarray] = []
         for index, window in enumerate(windows):
             yield Progress(0.1 * index / len(windows), "Filling structure")
-            _write(pixels, window, diffuse(pixels[window.area], window.hole, _part(barriers, window), window.wrap)[window.hole])
+            filled = diffuse(pixels[window.area], window.hole, _part(barriers, window), window.wrap)
+            curve = join_contours(filled, window.hole, ~mask[window.area])
+            if barriers is not None:
+                curve |= barriers[window.area]
+            curves.append(curve)
+            _write(pixels, window, diffuse(filled, window.hole, curve, window.wrap)[window.hole])
     sub_bands, deviations = -1, np.zeros(0)
     if settings.split == "auto":
         yield Progress(0.1, "Choosing sub-bands")
@@ -104,7 +112,7 @@ def restore(
         stages["first_fill"] = pixels.copy()
     if sub_bands >= 0:
         options = _Options(settings, sub_bands, ~mask if source_mask is None else ~mask & source_mask, barriers)
-        yield from subprogress(_restore_texture(pixels, mask, windows, options, clock, stages), 0.15, 1.0)
+        yield from subprogress(_restore_texture(pixels, mask, windows, curves, options, clock, stages), 0.15, 1.0)
         pixels[mask] = np.clip(pixels[mask], *_find_range(image, mask))
     if is_normal_map:
         pixels[mask, :3] = 0.5 + 0.5 * decode_normals(pixels[mask])
@@ -112,7 +120,13 @@ def restore(
 
 
 def _restore_texture(
-    pixels: np.ndarray, mask: np.ndarray, windows: list[Window], options: "_Options", clock: StageClock, stages: dict[str, np.ndarray]
+    pixels: np.ndarray,
+    mask: np.ndarray,
+    windows: list[Window],
+    curves: list[np.ndarray],
+    options: "_Options",
+    clock: StageClock,
+    stages: dict[str, np.ndarray],
 ) -> Steps[None]:
     """Split the smoothly filled `pixels`, and write structure plus texture into the holes of all `windows`. Adds images to `stages` unless
     it is empty."""
@@ -124,14 +138,17 @@ def _restore_texture(
     results = []
     groups, total, done = group_windows(windows), int(mask.sum()), 0
     for group in groups:
-        structures, pages = [], []
+        structures, pages, fills, lines = [], [], [], []
         for window in group:
             with clock.stage("structure"):
                 low = low_band.evaluate(window.rows, window.columns)
                 structures.append(diffuse(low, window.hole, _part(options.barriers, window), window.wrap))
             pages.append(Page(pixels[window.area] - low, window.hole, ~mask[window.area], options.usable[window.area], window.wrap))
+            nothing = np.zeros_like(window.hole)
+            fills.append(Page(pixels[window.area] - structures[-1], nothing, ~nothing, nothing, window.wrap))
+            lines.append(curves[next(i for i, each in enumerate(windows) if each is window)])
         with clock.stage("pyramid"):
-            pages += _further_pages(pixels, mask, low_band, pages, options)
+            pages += fills + _further_pages(pixels, mask, low_band, pages, options)
             levels = build_levels(pages, options.settings.pyramid_levels)
             sources = int(levels[0].valid.sum())
             if sources < MIN_SOURCES:
@@ -141,7 +158,9 @@ def _restore_texture(
                 )
         count = sum(int(window.hole.sum()) for window in group)
         with clock.stage("texture"):
-            yield from subprogress(fill_texture(pages, levels, options.settings), done / total, (done + count) / total)
+            yield from subprogress(
+                fill_texture(pages, levels, build_guide(levels[0], pages, lines), options.settings), done / total, (done + count) / total
+            )
         done += count
         for index, (window, structure) in enumerate(zip(group, structures, strict=True)):
             texture = levels[0].page(index)
