@@ -1,7 +1,7 @@
-"""What a copy in a hole should look like: the color of the smooth fill there, and the contrast that texture has next to the hole.
+"""What a copy in a hole should look like: the color of the fills there, and the contrast that texture has next to the hole.
 
-A copy costs the more, the more it differs. The smooth fill itself is one of the candidates: where texture is faint, or nothing fits, it
-remains.
+A copy costs the more, the more it differs. The fills are candidates as well, a smooth one and one by patches: where texture is faint, where
+the surroundings are objects rather than texture, or where nothing fits, they remain.
 """
 
 from dataclasses import dataclass
@@ -15,16 +15,17 @@ from .levels import Level, Page
 COLOR_SIGMA = 2.5  # pixels
 DETAIL_SIGMA = 4.0  # pixels; smaller details are contrast
 CONTRAST_SIGMA = 5.0  # pixels
-EXPLAINED = 5  # pixels from a curve to edges that it continues, which are not texture
 VARIATION_SIGMA = 12.0  # pixels
-LACK = 3.0  # cost of a pixel without texture, relative to the contrast next to the hole
+CURVE_REACH = 5  # pixels from a curve to edges that it continues, which are not texture
 NOISE = 0.02  # contrast below which texture does not count
-MIN_VARIATION = 0.02  # Of colors.
-HINGE = 2.0  # deviations of the colors around that a copy may differ
-CONTRAST_WEIGHT = 1.5
+COLOR_WEIGHT = 0.2  # per deviation beyond the tolerance
+MIN_DEVIATION = 0.02  # added to the deviation of colors around a pixel
+COLOR_TOLERANCE = 2.0  # deviations
+CONTRAST_WEIGHT = 0.1
 CONTRAST_TOLERANCE = 0.4  # natural logarithm
-MAX_DIFFERENCE = 6.0
-WEIGHT = 0.2  # Of a pixel with a difference of 1, relative to the deviation of the texture.
+MAX_COST = 1.2
+LACK_WEIGHT = 2.0  # Of contrast that a fill lacks, where texture is even.
+MAX_SPREAD = 0.25  # deviation of the logarithm of the contrast, beyond which it belongs to objects
 
 
 @dataclass(frozen=True)
@@ -32,52 +33,59 @@ class Guide:
     """The appearance of the pixels of a level, and what is wanted in its holes.
 
     Attributes:
-        features: (H * W, C + 1) float32, color and logarithm of contrast.
-        scale: (H * W,) float32, the inverse of how much colors vary around.
-        lack: (H * W,) float32, in smooth fills, the cost of the contrast that they lack.
-        fills: (P,) int, per page the offset from its pixels to those of its smooth fill, 0 where it has none.
+        colors: (H * W, C) float32.
+        contrasts: (H * W,) float32, natural logarithms.
+        scales: (H * W,) float32, the inverse of the deviation of the colors around.
+        lacks: (H * W,) float32, the costs of the contrast that fills lack, relative to the deviation of the texture.
+        fills: (P, K) int64, for each page the offsets from its pixels to those of its K fills, 0 where it has none.
     """
 
-    features: np.ndarray
-    scale: np.ndarray
-    lack: np.ndarray
+    colors: np.ndarray
+    contrasts: np.ndarray
+    scales: np.ndarray
+    lacks: np.ndarray
     fills: np.ndarray
 
     def costs(self, pixels: np.ndarray, sources: np.ndarray, deviation: float) -> np.ndarray:
         """Return the costs (P,) of copies of `sources` (P,) at `pixels` (P,). deviation: of the texture."""
-        differences = np.abs(self.features[pixels] - self.features[sources])
-        color = np.sqrt(np.square(differences[:, :-1]).sum(axis=1)) * self.scale[pixels]
-        excess = np.maximum(color - HINGE, 0.0) + CONTRAST_WEIGHT * np.maximum(differences[:, -1] - CONTRAST_TOLERANCE, 0.0)
-        return deviation * WEIGHT * np.minimum(excess, MAX_DIFFERENCE) + self.lack[sources]
+        colors = np.linalg.norm(self.colors[pixels] - self.colors[sources], axis=1) * self.scales[pixels]
+        contrasts = np.abs(self.contrasts[pixels] - self.contrasts[sources])
+        excess = COLOR_WEIGHT * np.maximum(colors - COLOR_TOLERANCE, 0.0) + CONTRAST_WEIGHT * np.maximum(
+            contrasts - CONTRAST_TOLERANCE, 0.0
+        )
+        return deviation * np.minimum(excess, MAX_COST) + self.lacks[sources]
 
 
-def build_guide(level: Level, pages: list[Page], curves: list[np.ndarray]) -> Guide:
-    """Describe the pixels of `level`, whose first pages are those of holes, each with its curves (H, W) bool, followed by as many with their
-    smooth fills."""
-    count = len(curves)
-    features = np.zeros((level.hole.size, level.texture.shape[1] + 1), np.float32)
-    scale = np.zeros(level.hole.size, np.float32)
-    fills, lack = np.zeros(len(pages), np.int64), np.zeros(level.hole.size, np.float32)
+def build_guide(level: Level, pages: list[Page], curves: list[np.ndarray], fill_count: int) -> Guide:
+    """Return the guide of `level`, built from `pages`: first those of the holes, then `fill_count` fills of each hole, then others.
+
+    curves: (H, W) bool for each hole, pixels of edges that continue in it.
+    """
+    holes, size = len(curves), level.hole.size
+    colors, contrasts = np.zeros((size, level.texture.shape[1]), np.float32), np.zeros(size, np.float32)
+    scales, lacks = np.zeros(size, np.float32), np.zeros(size, np.float32)
+    fills = np.zeros((len(pages), fill_count), np.int64)
     for index, page in enumerate(pages):
-        pixels = level.pixels(index)
-        known = page.known & ~page.hole
+        if holes <= index < holes * (1 + fill_count):
+            continue
+        pixels, known = level.pixels(index), page.known & ~page.hole
         color, contrast = _describe(page.texture, known)
-        if index < count:
-            fill = pages[index + count].texture
-            fills[index] = (level.tops[index + count] - level.tops[index]) * level.shape[1]
-            squares = _blur(color**2, known, VARIATION_SIGMA) - _blur(color, known, VARIATION_SIGMA) ** 2
-            variation = np.sqrt(np.maximum(squares, 0.0).sum(axis=2, keepdims=True))
-            scale[pixels] = 1.0 / (diffuse(variation, page.hole, None, page.wrap).ravel() + MIN_VARIATION)
-            near_curve = binary_dilation(curves[index] & ~page.hole, iterations=EXPLAINED)
+        if index < holes:
+            numbers = holes + fill_count * index + np.arange(fill_count)
+            fills[index] = (level.tops[numbers] - level.tops[index]) * level.shape[1]
+            looks = [_describe(pages[number].texture, page.hole) for number in numbers]
+            spread = _deviation(contrast, known)
+            scales[pixels] = 1.0 / (diffuse(_deviation(color, known), page.hole, None, page.wrap).ravel() + MIN_DEVIATION)
+            demand = LACK_WEIGHT * np.exp(-np.square(diffuse(spread, page.hole, None, page.wrap) / MAX_SPREAD))
+            near_curve = binary_dilation(curves[index] & ~page.hole, iterations=CURVE_REACH)
             wanted = diffuse(contrast, page.hole | near_curve, curves[index] & page.hole, page.wrap)
             contrast = np.where(page.hole[..., None], wanted, contrast)
-            color = np.where(page.hole[..., None], _blur(fill, np.ones_like(known), COLOR_SIGMA), color)
-            features[pixels + fills[index]] = np.concatenate([color, contrast], axis=2).reshape(len(pixels), -1)
-            lack[pixels + fills[index]] = LACK * (np.exp(contrast.ravel()) - NOISE)
-        elif index < 2 * count:
-            continue
-        features[pixels] = np.concatenate([color, contrast], axis=2).reshape(len(pixels), -1)
-    return Guide(features, scale, lack, fills)
+            color = np.where(page.hole[..., None], np.mean([look[0] for look in looks], axis=0), color)
+            for offset, (fill_color, fill_contrast) in zip(fills[index], looks, strict=True):
+                colors[pixels + offset], contrasts[pixels + offset] = _flatten(fill_color), contrast.ravel()
+                lacks[pixels + offset] = (demand * np.maximum(np.exp(contrast) - np.exp(fill_contrast), 0.0)).ravel()
+        colors[pixels], contrasts[pixels] = _flatten(color), contrast.ravel()
+    return Guide(colors, contrasts, scales, lacks, fills)
 
 
 def _describe(texture: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -87,7 +95,17 @@ def _describe(texture: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.nd
     return _blur(texture, known, COLOR_SIGMA), contrast.astype(np.float32)
 
 
+def _deviation(values: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return the standard deviation (H, W, 1) of the known ones of `values` (H, W, C) around each pixel, of all channels together."""
+    variance = _blur(values**2, known, VARIATION_SIGMA) - _blur(values, known, VARIATION_SIGMA) ** 2
+    return np.sqrt(np.maximum(variance, 0.0).sum(axis=2, keepdims=True))
+
+
 def _blur(values: np.ndarray, known: np.ndarray, sigma: float) -> np.ndarray:
     """Return the Gaussian mean (H, W, C) of the known pixels."""
     weights = np.maximum(gaussian_filter(known.astype(np.float32), sigma, mode="constant"), 1e-6)[..., None]
     return gaussian_filter(values * known[..., None], (sigma, sigma, 0.0), mode="constant") / weights
+
+
+def _flatten(values: np.ndarray) -> np.ndarray:
+    return values.reshape(-1, values.shape[2])

@@ -88,8 +88,7 @@ def _fill_bands(level: Level, guide: Guide, generator: np.random.Generator, done
             continue
         choice = _Choice(pixels, [], [])
         for each in candidates:
-            fill = pixels + guide.fills[page]
-            each.append(Candidate(np.arange(len(pixels)), fill.astype(np.int32)))
+            each += [Candidate(np.arange(len(pixels)), (pixels + offset).astype(np.int32)) for offset in guide.fills[page]]
             labeling = Labeling(level, contrast, guide, pixels, each)
             labeling.optimize_blocks()
             level.copy(pixels, labeling.sources)

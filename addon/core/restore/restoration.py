@@ -15,6 +15,7 @@ from .guidance import build_guide
 from .levels import RADIUS, Page, build_levels
 from .settings import RestoreSettings
 from .texture import fill_texture
+from .voting import complete
 from .windows import Window, choose_areas, find_windows, group_windows
 
 MIN_SIDE = 2 * RADIUS + 1
@@ -46,12 +47,21 @@ class Restoration:
 
 @dataclass(frozen=True)
 class _Options:
-    """What all windows have in common; usable: (H, W) bool, pixels that may be copied."""
+    """What all windows have in common.
+
+    Attributes:
+        settings: of the restoration.
+        sub_bands: number of sub-bands of the structure.
+        usable: (H, W) bool, pixels that may be copied.
+        barriers: (H, W) bool, pixels that diffusion does not cross, or None.
+        curves: (H, W) bool, pixels of contours that continue in holes, and the barriers.
+    """
 
     settings: RestoreSettings
     sub_bands: int
     usable: np.ndarray
     barriers: np.ndarray | None
+    curves: np.ndarray
 
 
 def restore(
@@ -92,15 +102,12 @@ def restore(
         windows = find_windows(mask, settings.tileable)
     with clock.stage("first fill"):
         pixels = np.where(mask[..., None], np.float32(0.0), image).astype(np.float32, copy=False)
-        curves: list[np.ndarray] = []
+        curves = np.zeros_like(mask) if barriers is None else barriers.copy()
         for index, window in enumerate(windows):
             yield Progress(0.1 * index / len(windows), "Filling structure")
-            filled = diffuse(pixels[window.area], window.hole, _part(barriers, window), window.wrap)
-            curve = join_contours(filled, window.hole, ~mask[window.area])
-            if barriers is not None:
-                curve |= barriers[window.area]
-            curves.append(curve)
-            _write(pixels, window, diffuse(filled, window.hole, curve, window.wrap)[window.hole])
+            smooth = diffuse(pixels[window.area], window.hole, _part(barriers, window), window.wrap)
+            curves[window.area] |= join_contours(smooth, window.hole, ~mask[window.area])
+            _write(pixels, window, diffuse(smooth, window.hole, curves[window.area], window.wrap)[window.hole])
     sub_bands, deviations = -1, np.zeros(0)
     if settings.split == "auto":
         yield Progress(0.1, "Choosing sub-bands")
@@ -111,8 +118,8 @@ def restore(
     if keep_stages:
         stages["first_fill"] = pixels.copy()
     if sub_bands >= 0:
-        options = _Options(settings, sub_bands, ~mask if source_mask is None else ~mask & source_mask, barriers)
-        yield from subprogress(_restore_texture(pixels, mask, windows, curves, options, clock, stages), 0.15, 1.0)
+        options = _Options(settings, sub_bands, ~mask if source_mask is None else ~mask & source_mask, barriers, curves)
+        yield from subprogress(_restore_texture(pixels, mask, windows, options, clock, stages), 0.15, 1.0)
         pixels[mask] = np.clip(pixels[mask], *_find_range(image, mask))
     if is_normal_map:
         pixels[mask, :3] = 0.5 + 0.5 * decode_normals(pixels[mask])
@@ -120,13 +127,7 @@ def restore(
 
 
 def _restore_texture(
-    pixels: np.ndarray,
-    mask: np.ndarray,
-    windows: list[Window],
-    curves: list[np.ndarray],
-    options: "_Options",
-    clock: StageClock,
-    stages: dict[str, np.ndarray],
+    pixels: np.ndarray, mask: np.ndarray, windows: list[Window], options: "_Options", clock: StageClock, stages: dict[str, np.ndarray]
 ) -> Steps[None]:
     """Split the smoothly filled `pixels`, and write structure plus texture into the holes of all `windows`. Adds images to `stages` unless
     it is empty."""
@@ -138,15 +139,15 @@ def _restore_texture(
     results = []
     groups, total, done = group_windows(windows), int(mask.sum()), 0
     for group in groups:
-        structures, pages, fills, lines = [], [], [], []
+        structures, pages, fills = [], [], []
         for window in group:
             with clock.stage("structure"):
                 low = low_band.evaluate(window.rows, window.columns)
                 structures.append(diffuse(low, window.hole, _part(options.barriers, window), window.wrap))
             pages.append(Page(pixels[window.area] - low, window.hole, ~mask[window.area], options.usable[window.area], window.wrap))
-            nothing = np.zeros_like(window.hole)
-            fills.append(Page(pixels[window.area] - structures[-1], nothing, ~nothing, nothing, window.wrap))
-            lines.append(curves[next(i for i, each in enumerate(windows) if each is window)])
+            if options.settings.method == "regions":
+                with clock.stage("patches"):
+                    fills += _build_fills(pixels[window.area], structures[-1], pages[-1], options.settings.seed)
         with clock.stage("pyramid"):
             pages += fills + _further_pages(pixels, mask, low_band, pages, options)
             levels = build_levels(pages, options.settings.pyramid_levels)
@@ -158,9 +159,8 @@ def _restore_texture(
                 )
         count = sum(int(window.hole.sum()) for window in group)
         with clock.stage("texture"):
-            yield from subprogress(
-                fill_texture(pages, levels, build_guide(levels[0], pages, lines), options.settings), done / total, (done + count) / total
-            )
+            guide = build_guide(levels[0], pages, [options.curves[window.area] for window in group], len(fills) // len(group))
+            yield from subprogress(fill_texture(pages, levels, guide, options.settings), done / total, (done + count) / total)
         done += count
         for index, (window, structure) in enumerate(zip(group, structures, strict=True)):
             texture = levels[0].page(index)
@@ -170,6 +170,14 @@ def _restore_texture(
                 _write(stages["high_filled"], window, texture[window.hole])
     for window, values in results:  # at the end, so that no hole copies from another one
         _write(pixels, window, values)
+
+
+def _build_fills(pixels: np.ndarray, structure: np.ndarray, page: Page, seed: int) -> list[Page]:
+    """Return pages with fills of the hole of `page`, from which only its own pixels may be copied: the smooth one of `pixels` (H, W, C), and
+    one by patches. structure: (H, W, C), which they do not contain."""
+    nothing = np.zeros_like(page.hole)
+    completed = complete(pixels, page, seed)
+    return [Page(fill - structure, nothing, ~nothing, nothing, page.wrap) for fill in (pixels, completed)]
 
 
 def _further_pages(pixels: np.ndarray, mask: np.ndarray, low_band: LowBand, pages: list[Page], options: "_Options") -> list[Page]:
