@@ -24,7 +24,7 @@ COLOR_TOLERANCE = 2.0  # deviations
 CONTRAST_WEIGHT = 0.1
 CONTRAST_TOLERANCE = 0.4  # natural logarithm
 MAX_COST = 1.2
-LACK_WEIGHT = 2.0  # Of contrast that a fill lacks, where texture is even.
+LACK_WEIGHT = 2.5  # Of contrast that a fill lacks, where texture is even.
 MAX_SPREAD = 0.25  # deviation of the logarithm of the contrast, beyond which it belongs to objects
 
 
