@@ -1,10 +1,10 @@
 """Restored images compared with those of other programs: `python3 benchmarks/bench_restore.py [flags]`.
 
 Prints JSON. Parts (`--only`): `quality` (textures with three masks each: patch distributions and seams), `gradients` (the same under a
-gradient of intensity, and the low frequencies), `pictures` (photographs and rendered scenes with objects: contours, FLIP, false edges), `kappa` (automatic, none and all sub-bands on those), `time` (an image of 600 x 450, and
-one of 4096 x 4096 with 200 holes, with memory), `growth` (seconds by masked pixels and by pixels). Each run draws other textures and
-masks; --seed repeats one. Settings may be tuned on `--set tuning`, so that nothing is concluded from it; `--quick` compares on it with two
-peers.
+gradient of intensity, and the low frequencies), `pictures` (photographs and rendered scenes with objects: contours, FLIP, false edges),
+`kappa` (automatic, none and all sub-bands on those), `time` (an image of 600 x 450, and one of 4096 x 4096 with 200 holes, with memory),
+`growth` (seconds by masked pixels and by pixels). Each run draws other textures and masks; --seed repeats one. Settings may be tuned on
+`--set tuning`, so that nothing is concluded from it; `--quick` compares on it with two peers.
 """
 
 import json

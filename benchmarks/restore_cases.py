@@ -57,10 +57,7 @@ def build_picture_cases(name: str, given: Namespace, methods: Methods) -> Iterat
     """Yield one picture with each mask, the same for equal seeds, whatever else is selected."""
     seeds = [given.seed, *name.encode()]
     random, kind = np.random.default_rng(seeds), name.rsplit(" ", 1)[0]
-    if kind in SCENES:
-        image = render(kind, random)
-    else:
-        image = read_photograph(ALL_PHOTOGRAPHS[name], random, methods.read, given.pictures)
+    image = render(kind, random) if kind in SCENES else read_photograph(ALL_PHOTOGRAPHS[name], random, methods.read, given.pictures)
     for mask_name in given.masks:
         index = list(MASKS).index(mask_name)
         mask = MASKS[mask_name](np.random.default_rng([*seeds, index]), image.shape[:2])

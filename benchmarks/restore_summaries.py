@@ -32,7 +32,7 @@ def summarize_quality(cases: Cases) -> dict[str, Any]:
 
 
 def summarize_pictures(cases: Cases) -> dict[str, Any]:
-    """Return the mean scores of each method, how often Farfield has the lowest FLIP and its contour error relative to that of the best peer."""
+    """Return the mean scores of each method, how often Farfield has the lowest FLIP, and its contour error relative to the best peer."""
     methods = [name for name in next(iter(cases.values())) if name != "truth"]
     means = {
         score: {name: mean_of(cases, name, score) for name in methods}

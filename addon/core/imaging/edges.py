@@ -5,7 +5,8 @@ from scipy.ndimage import gaussian_filter, label, map_coordinates
 
 
 def find_edges(values: np.ndarray, sigma: float, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the edges (H, W) bool of `values` (H, W), one pixel wide, and the gradient (H, W, 2) after a Gaussian filter of `sigma` pixels.
+    """Return the edges (H, W) bool of `values` (H, W), one pixel wide, and the gradient (H, W, 2), after a Gaussian filter
+    of `sigma` pixels.
 
     low, high: magnitudes of the gradient in units of `values` per pixel. Connected edges above `low` are kept where one is above `high`.
     """

@@ -159,7 +159,8 @@ def _restore_texture(
                 )
         count = sum(int(window.hole.sum()) for window in group)
         with clock.stage("texture"):
-            guide = build_guide(levels[0], pages, [options.curves[window.area] for window in group], len(fills) // len(group))
+            curves = [options.curves[window.area] for window in group]
+            guide = build_guide(levels[0], pages, curves, len(fills) // len(group)) if fills else None
             yield from subprogress(fill_texture(pages, levels, guide, options.settings), done / total, (done + count) / total)
         done += count
         for index, (window, structure) in enumerate(zip(group, structures, strict=True)):
@@ -173,8 +174,8 @@ def _restore_texture(
 
 
 def _build_fills(pixels: np.ndarray, structure: np.ndarray, page: Page, seed: int) -> list[Page]:
-    """Return pages with fills of the hole of `page`, from which only its own pixels may be copied: the smooth one of `pixels` (H, W, C), and
-    one by patches. structure: (H, W, C), which they do not contain."""
+    """Return pages with the two fills of the hole of `page`, without their `structure` (H, W, C): that of `pixels` (H, W, C), and one by
+    patches. A pixel of the hole may only be copied from the same pixel of a fill."""
     nothing = np.zeros_like(page.hole)
     completed = complete(pixels, page, seed)
     return [Page(fill - structure, nothing, ~nothing, nothing, page.wrap) for fill in (pixels, completed)]

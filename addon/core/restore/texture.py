@@ -22,8 +22,11 @@ FIDELITY = 0.01  # weight of the copies relative to that of the differences: ste
 BOUNDARY_WEIGHT = 3.0  # weight of differences across the boundary of the hole
 
 
-def fill_texture(pages: list[Page], levels: list[Level], guide: Guide, settings: RestoreSettings) -> Steps[None]:
-    """Fill the holes of the finest of `levels`, built from `pages`, in place. Coarser levels may change, too."""
+def fill_texture(pages: list[Page], levels: list[Level], guide: Guide | None, settings: RestoreSettings) -> Steps[None]:
+    """Fill the holes of the finest of `levels`, built from `pages`, in place. Coarser levels may change, too.
+
+    guide: for regions.
+    """
     level = levels[0]
     total, remaining = np.count_nonzero(level.hole), level.hole
     if settings.method == "regions":

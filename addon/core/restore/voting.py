@@ -1,5 +1,5 @@
-"""Completion of an image by overlapping patches, from coarse to fine: patches over the hole are matched with known ones, and each pixel takes
-the mean of the matches that cover it.
+"""Completion of an image by overlapping patches, from coarse to fine: patches over the hole are matched with known ones, and each pixel
+takes the mean of the matches that cover it.
 
 After Wexler, Shechtman and Irani, "Space-Time Completion of Video", 2007, with the search of Barnes et al., "PatchMatch: A Randomized
 Correspondence Algorithm for Structural Image Editing", 2009, in all patches at once.
