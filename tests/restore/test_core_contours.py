@@ -7,7 +7,7 @@ from scipy.ndimage import gaussian_filter
 from farfield.addon.core.imaging.diffusion import diffuse
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.restore.contours import join_contours
-from farfield.addon.core.restore.guidance import build_guide
+from farfield.addon.core.restore.guidance import build_guide, describe_page
 from farfield.addon.core.restore.levels import Page, build_levels
 from farfield.addon.core.restore.restoration import restore
 from farfield.addon.core.restore.settings import RestoreSettings
@@ -91,7 +91,7 @@ class TestGuide:
         nothing = np.zeros_like(HOLE)
         pages = [page, Page(page.texture, nothing, ~nothing, nothing)]
         level = build_levels(pages, 1)[0]
-        return level, build_guide(level, pages, [nothing], 1), np.flatnonzero(level.hole)
+        return level, build_guide(level, pages, [describe_page(page, nothing)], [[1]]), np.flatnonzero(level.hole)
 
     def test_a_smooth_fill_costs_the_contrast_that_it_lacks_where_texture_is_even(self):
         random = np.random.default_rng(3)
@@ -101,7 +101,7 @@ class TestGuide:
         costs = []
         for image in (noise, uneven, np.full_like(noise, 0.5)):
             _, guide, pixels = self.build(image)
-            costs.append(float(guide.costs(pixels, pixels + guide.fills[0, 0], 1.0).mean()))
+            costs.append(float(guide.costs(pixels, pixels + guide.fills[0][0], 1.0).mean()))
         assert costs[0] > 4.0 * costs[1] and costs[2] == pytest.approx(0.0, abs=1e-4)
 
     def test_copies_of_another_color_cost_more(self):

@@ -30,7 +30,7 @@ def neutral_guide(level):
     """A guide for which all copies cost nothing, without fills."""
     size = level.hole.size
     values = np.zeros(size, np.float32)
-    return Guide(np.zeros((size, 1), np.float32), values, values, values, np.zeros((len(level.tops), 0), np.int64))
+    return Guide(np.zeros((size, 1), np.float32), values, values, values, [[] for _ in level.tops])
 
 
 def seam_cost(level, pixels, sources):

@@ -5,6 +5,7 @@ the surroundings are objects rather than texture, or where nothing fits, they re
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import binary_dilation, gaussian_filter
@@ -28,23 +29,39 @@ LACK_WEIGHT = 2.5  # Of contrast that a fill lacks, where texture is even.
 MAX_SPREAD = 0.25  # deviation of the logarithm of the contrast, beyond which it belongs to objects
 
 
+class Look(NamedTuple):
+    """The appearance of the pixels of a page.
+
+    Attributes:
+        color: (H, W, C) float32.
+        contrast: (H, W, 1) float32, natural logarithms; in a hole those that its surroundings suggest.
+        scale: (H, W, 1) float32, the inverse of the deviation of colors around.
+        evenness: (H, W, 1) float32, 1 where contrast is even, as in texture, and near 0 between objects.
+    """
+
+    color: np.ndarray
+    contrast: np.ndarray
+    scale: np.ndarray
+    evenness: np.ndarray
+
+
 @dataclass(frozen=True)
 class Guide:
-    """The appearance of the pixels of a level, and what is wanted in its holes.
+    """What copies cost, for the pixels of a level.
 
     Attributes:
         colors: (H * W, C) float32.
         contrasts: (H * W,) float32, natural logarithms.
         scales: (H * W,) float32, the inverse of the deviation of the colors around.
         lacks: (H * W,) float32, the costs of the contrast that fills lack, relative to the deviation of the texture.
-        fills: (P, K) int64, for each page the offsets from its pixels to those of its K fills, 0 where it has none.
+        fills: For each page with a hole the offsets from its pixels to those of its fills.
     """
 
     colors: np.ndarray
     contrasts: np.ndarray
     scales: np.ndarray
     lacks: np.ndarray
-    fills: np.ndarray
+    fills: list[list[int]]
 
     def costs(self, pixels: np.ndarray, sources: np.ndarray, deviation: float) -> np.ndarray:
         """Return the costs (P,) of copies of `sources` (P,) at `pixels` (P,). deviation: of the texture."""
@@ -56,36 +73,42 @@ class Guide:
         return deviation * np.minimum(excess, MAX_COST) + self.lacks[sources]
 
 
-def build_guide(level: Level, pages: list[Page], curves: list[np.ndarray], fill_count: int) -> Guide:
-    """Return the guide of `level`, built from `pages`: first those of the holes, then `fill_count` fills of each hole, then others.
+def describe_page(page: Page, curves: np.ndarray) -> Look:
+    """Describe the pixels of a page with a hole, except for the colors in it. curves: (H, W) bool, edges that continue in the hole."""
+    known = page.known & ~page.hole
+    color, contrast = _describe(page.texture, known)
+    deviations = np.concatenate([_deviation(color, known), _deviation(contrast, known)], axis=2)
+    deviation, spread = np.split(diffuse(deviations, page.hole, None, page.wrap), 2, axis=2)
+    near_curve = binary_dilation(curves & ~page.hole, iterations=CURVE_REACH)
+    expected = diffuse(contrast, page.hole | near_curve, curves & page.hole, page.wrap)
+    contrast = np.where(page.hole[..., None], expected, contrast)
+    return Look(color, contrast, 1.0 / (deviation + MIN_DEVIATION), np.exp(-np.square(spread / MAX_SPREAD)))
 
-    curves: (H, W) bool for each hole, pixels of edges that continue in it.
-    """
-    holes, size = len(curves), level.hole.size
+
+def build_guide(level: Level, pages: list[Page], looks: list[Look], fills: list[list[int]]) -> Guide:
+    """Return the guide of `level`, built from `pages`. The first ones have holes, of which `looks` are; fills: for each the numbers of the
+    pages with its fills."""
+    size, fill_numbers = level.hole.size, {number for numbers in fills for number in numbers}
     colors, contrasts = np.zeros((size, level.texture.shape[1]), np.float32), np.zeros(size, np.float32)
     scales, lacks = np.zeros(size, np.float32), np.zeros(size, np.float32)
-    fills = np.zeros((len(pages), fill_count), np.int64)
+    offsets = [[int(level.tops[number] - level.tops[index]) * level.shape[1] for number in numbers] for index, numbers in enumerate(fills)]
     for index, page in enumerate(pages):
-        if holes <= index < holes * (1 + fill_count):
+        if index in fill_numbers:
             continue
-        pixels, known = level.pixels(index), page.known & ~page.hole
-        color, contrast = _describe(page.texture, known)
-        if index < holes:
-            numbers = holes + fill_count * index + np.arange(fill_count)
-            fills[index] = (level.tops[numbers] - level.tops[index]) * level.shape[1]
-            looks = [_describe(pages[number].texture, page.hole) for number in numbers]
-            spread = _deviation(contrast, known)
-            scales[pixels] = 1.0 / (diffuse(_deviation(color, known), page.hole, None, page.wrap).ravel() + MIN_DEVIATION)
-            demand = LACK_WEIGHT * np.exp(-np.square(diffuse(spread, page.hole, None, page.wrap) / MAX_SPREAD))
-            near_curve = binary_dilation(curves[index] & ~page.hole, iterations=CURVE_REACH)
-            wanted = diffuse(contrast, page.hole | near_curve, curves[index] & page.hole, page.wrap)
-            contrast = np.where(page.hole[..., None], wanted, contrast)
-            color = np.where(page.hole[..., None], np.mean([look[0] for look in looks], axis=0), color)
-            for offset, (fill_color, fill_contrast) in zip(fills[index], looks, strict=True):
+        pixels = level.pixels(index)
+        if index >= len(looks):
+            color, contrast = _describe(page.texture, page.known)
+        else:
+            color, contrast, scale, evenness = looks[index]
+            scales[pixels] = scale.ravel()
+            filled = [_describe(pages[number].texture, page.hole) for number in fills[index]]
+            color = np.where(page.hole[..., None], np.mean([each[0] for each in filled], axis=0), color)
+            for offset, (fill_color, fill_contrast) in zip(offsets[index], filled, strict=True):
                 colors[pixels + offset], contrasts[pixels + offset] = _flatten(fill_color), contrast.ravel()
-                lacks[pixels + offset] = (demand * np.maximum(np.exp(contrast) - np.exp(fill_contrast), 0.0)).ravel()
+                lack = LACK_WEIGHT * evenness * np.maximum(np.exp(contrast) - np.exp(fill_contrast), 0.0)
+                lacks[pixels + offset] = lack.ravel()
         colors[pixels], contrasts[pixels] = _flatten(color), contrast.ravel()
-    return Guide(colors, contrasts, scales, lacks, fills)
+    return Guide(colors, contrasts, scales, lacks, offsets)
 
 
 def _describe(texture: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

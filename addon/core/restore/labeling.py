@@ -57,6 +57,7 @@ class Labeling:
             self.sources[members] = targets
         self._deviation = max(float(np.sqrt(level.texture[level.valid].var(axis=0).sum())), 1e-6)
         self._scale = RESOLUTION / self._deviation
+        self._costs = guide.costs(pixels, self.sources, self._deviation)
         numbers = np.full(level.hole.size, -1, np.int32)
         numbers[pixels] = np.arange(len(pixels))
         neighbors, exists = level.neighbors(pixels, SIDES)
@@ -101,9 +102,8 @@ class Labeling:
         place = np.full(len(self._pixels), -1)  # within members
         place[members] = np.arange(len(members))
         current, pairs = self.sources[members], []
-        own = self._pixels[members]
-        change = self._guide.costs(own, targets, self._deviation) - self._guide.costs(own, current, self._deviation)
-        linear += np.bincount(nodes, change, count)
+        costs = self._guide.costs(self._pixels[members], targets, self._deviation)
+        linear += np.bincount(nodes, costs - self._costs[members], count)
         for side, offset in enumerate(self._offsets):
             known = self._known[members, side]
             at = np.flatnonzero(known >= 0)
@@ -124,7 +124,7 @@ class Labeling:
                 weights = np.maximum(first_stays + second_stays - both_stay, 0.0)
                 pairs.append((nodes[at][is_cut], nodes[to][is_cut], self._scale * weights[is_cut]))
         changes = minimize_binary(self._scale * linear, *(np.concatenate(parts) for parts in zip(*pairs, strict=True)))[nodes]
-        self.sources[members[changes]] = targets[changes]
+        self.sources[members[changes]], self._costs[members[changes]] = targets[changes], costs[changes]
 
     def _boundary(self, first: np.ndarray, known: np.ndarray) -> np.ndarray:
         """Return the cost (E,) of copies of `first` (E,) where `known` (E,) is."""

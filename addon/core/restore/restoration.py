@@ -11,7 +11,7 @@ from ..jobs.chunks import slices
 from ..jobs.progress import Progress, StageClock, Steps, subprogress
 from .contours import join_contours
 from .frequency_split import LowBand, choose_sub_bands
-from .guidance import build_guide
+from .guidance import Look, build_guide, describe_page
 from .levels import RADIUS, Page, build_levels
 from .settings import RestoreSettings
 from .texture import fill_texture
@@ -21,6 +21,7 @@ from .windows import Window, choose_areas, find_windows, group_windows
 MIN_SIDE = 2 * RADIUS + 1
 ROWS = 256  # rows of an image that are examined at once
 MAX_VALUE = 1e12  # Squares of larger values leave single precision soon.
+MIN_EVENNESS = 0.5  # around a hole in which only copies of texture fit
 MIN_SOURCES = 64  # pixels with a neighborhood that may be copied
 
 
@@ -139,15 +140,18 @@ def _restore_texture(
     results = []
     groups, total, done = group_windows(windows), int(mask.sum()), 0
     for group in groups:
-        structures, pages, fills = [], [], []
+        structures, pages, fills, looks, numbers = [], [], [], [], []
         for window in group:
             with clock.stage("structure"):
                 low = low_band.evaluate(window.rows, window.columns)
                 structures.append(diffuse(low, window.hole, _part(options.barriers, window), window.wrap))
             pages.append(Page(pixels[window.area] - low, window.hole, ~mask[window.area], options.usable[window.area], window.wrap))
             if options.settings.method == "regions":
+                looks.append(describe_page(pages[-1], options.curves[window.area]))
                 with clock.stage("patches"):
-                    fills += _build_fills(pixels[window.area], structures[-1], pages[-1], options.settings.seed)
+                    found = _build_fills(pixels[window.area], structures[-1], pages[-1], looks[-1], options.settings.seed)
+                numbers.append([len(group) + len(fills) + index for index in range(len(found))])
+                fills += found
         with clock.stage("pyramid"):
             pages += fills + _further_pages(pixels, mask, low_band, pages, options)
             levels = build_levels(pages, options.settings.pyramid_levels)
@@ -159,8 +163,7 @@ def _restore_texture(
                 )
         count = sum(int(window.hole.sum()) for window in group)
         with clock.stage("texture"):
-            curves = [options.curves[window.area] for window in group]
-            guide = build_guide(levels[0], pages, curves, len(fills) // len(group)) if fills else None
+            guide = build_guide(levels[0], pages, looks, numbers) if fills else None
             yield from subprogress(fill_texture(pages, levels, guide, options.settings), done / total, (done + count) / total)
         done += count
         for index, (window, structure) in enumerate(zip(group, structures, strict=True)):
@@ -173,12 +176,13 @@ def _restore_texture(
         _write(pixels, window, values)
 
 
-def _build_fills(pixels: np.ndarray, structure: np.ndarray, page: Page, seed: int) -> list[Page]:
-    """Return pages with the two fills of the hole of `page`, without their `structure` (H, W, C): that of `pixels` (H, W, C), and one by
-    patches. A pixel of the hole may only be copied from the same pixel of a fill."""
+def _build_fills(pixels: np.ndarray, structure: np.ndarray, page: Page, look: Look, seed: int) -> list[Page]:
+    """Return pages with fills of the hole of `page`, without their `structure` (H, W, C): that of `pixels` (H, W, C), and one by patches,
+    unless all surroundings are texture. A pixel of the hole may only be copied from the same pixel of a fill."""
     nothing = np.zeros_like(page.hole)
-    completed = complete(pixels, page, seed)
-    return [Page(fill - structure, nothing, ~nothing, nothing, page.wrap) for fill in (pixels, completed)]
+    is_texture = float(look.evenness[page.hole].min()) > MIN_EVENNESS
+    fills = [pixels] if is_texture else [pixels, complete(pixels, page, seed)]
+    return [Page(fill - structure, nothing, ~nothing, nothing, page.wrap) for fill in fills]
 
 
 def _further_pages(pixels: np.ndarray, mask: np.ndarray, low_band: LowBand, pages: list[Page], options: "_Options") -> list[Page]:
