@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from restore_holes import MASKS
 from restore_methods import Methods, Restored
-from restore_scores import boundary_energy, find_nearby, low_band_psnr, patch_distances
+from restore_pictures import ALL_PHOTOGRAPHS, SCENES, read_photograph, render
+from restore_scores import boundary_energy, contour_error, find_nearby, has_false_edge, hole_flip, low_band_psnr, patch_distances
 from restore_textures import GENERATED, PHOTOGRAPHS, SIZE, add_gradient, crop
 
 from farfield.addon.core.errors import FarfieldError
@@ -38,6 +39,9 @@ class Comparison(NamedTuple):
     images: dict[str, np.ndarray]
 
 
+Score = Callable[[Case, Restored], dict[str, Any]]
+
+
 def build_cases(texture: str, given: Namespace, methods: Methods, change: Change) -> Iterator[Case]:
     """Yield one texture with each mask, the same for equal seeds, whatever else is selected."""
     seeds = [given.seed, (*PHOTOGRAPHS, *GENERATED).index(texture)]
@@ -47,6 +51,17 @@ def build_cases(texture: str, given: Namespace, methods: Methods, change: Change
         random = np.random.default_rng([*seeds, index])
         mask = MASKS[name](random, image.shape[:2])
         yield Case(texture, name, change(image, random, index), mask, given.seed + index)
+
+
+def build_picture_cases(name: str, given: Namespace, methods: Methods) -> Iterator[Case]:
+    """Yield one picture with each mask, the same for equal seeds, whatever else is selected."""
+    seeds = [given.seed, *name.encode()]
+    random, kind = np.random.default_rng(seeds), name.rsplit(" ", 1)[0]
+    image = render(kind, random) if kind in SCENES else read_photograph(ALL_PHOTOGRAPHS[name], random, methods.read, given.pictures)
+    for mask_name in given.masks:
+        index = list(MASKS).index(mask_name)
+        mask = MASKS[mask_name](np.random.default_rng([*seeds, index]), image.shape[:2])
+        yield Case(name, mask_name, round_to_8_bits(image), mask, given.seed + index)
 
 
 def read_texture(name: str, random: np.random.Generator, given: Namespace, methods: Methods) -> np.ndarray:
@@ -81,15 +96,28 @@ def round_to_8_bits(image: np.ndarray) -> np.ndarray:
     return (np.rint(np.clip(image, 0.0, 1.0) * 255.0) / 255.0).astype(np.float32)
 
 
-def compare(case: Case, names: list[str], methods: Methods) -> Comparison:
-    """Restore a case by the named methods."""
+def compare(case: Case, names: list[str], methods: Methods, score: Score) -> Comparison:
+    """Restore a case by the named methods and score the results."""
     results = {"truth": Restored(case.image)} | {name: methods.run(name, case.image, case.mask) for name in names}
     scores = {name: score(case, restored) for name, restored in results.items()}
     return Comparison(case, scores, {name: restored.image for name, restored in results.items() if restored.image is not None})
 
 
-def score(case: Case, restored: Restored) -> dict[str, Any]:
-    """Return the measures of one restored image, or its error."""
+def score_picture(case: Case, restored: Restored) -> dict[str, Any]:
+    """Return the measures of one restored picture, or its error."""
+    if restored.image is None:
+        return {"error": restored.error}
+    return {
+        "contours": round(contour_error(restored.image, case.image, case.mask), 3),
+        "flip": round(hole_flip(restored.image, case.image, case.mask), 4),
+        "false_edge": has_false_edge(restored.image, case.image, case.mask),
+        "low_band_db": round(low_band_psnr(restored.image, case.image, case.mask), 2),
+        "seconds": round(restored.seconds, 2),
+    }
+
+
+def score_texture(case: Case, restored: Restored) -> dict[str, Any]:
+    """Return the measures of one restored texture, or its error."""
     if restored.image is None:
         return {"error": restored.error}
     distance, distance_to_truth = patch_distances(restored.image, case.image, case.mask, case.seed)

@@ -12,8 +12,8 @@ NEARER = 3  # factor of the second sheet
 
 
 def write_sheets(folder: Path, name: str, comparisons: Sequence[Comparison], methods: Sequence[str]) -> None:
-    """Write the images of one texture, a row per mask, as `NAME.png` and `NAME nearer.png`. The text shows patch distance and boundary
-    energy of each mask."""
+    """Write the images of one texture, a row per mask, as `NAME.png` and `NAME nearer.png`. The text shows two scores of each mask:
+    patch distance and boundary energy, or contour error and FLIP."""
     folder.mkdir(parents=True, exist_ok=True)
     columns = ["masked", "truth", *methods]
     labels = [[column, *describe(comparisons, column)] for column in columns]
@@ -23,7 +23,7 @@ def write_sheets(folder: Path, name: str, comparisons: Sequence[Comparison], met
         for images, area in zip(rows, (find_detail(comparison.case.mask) for comparison in comparisons), strict=True)
     ]
     for suffix, images in (("", rows), (" nearer", nearer)):
-        title = f"{name}{suffix}: patch distance and boundary energy"
+        title = f"{name}{suffix}"
         sheet = draw_contact_sheet(title, images, [comparison.case.mask_name for comparison in comparisons], labels)
         write_png(folder / f"{name}{suffix}.png", sheet)
 
@@ -40,7 +40,8 @@ def draw_panel(comparison: Comparison, column: str) -> np.ndarray:
 def describe(comparisons: Sequence[Comparison], column: str) -> list[str]:
     """Return the scores of a method, one line per mask."""
     found = [comparison.scores.get(column, {}) for comparison in comparisons]
-    return [f"{scores['distance']:.4f}  {scores['boundary']:.2f}" if "distance" in scores else "" for scores in found]
+    pairs = (("distance", "boundary"), ("contours", "flip"))
+    return ["  ".join(f"{scores[name]:.4f}" for pair in pairs if pair[0] in scores for name in pair) for scores in found]
 
 
 def find_detail(mask: np.ndarray) -> tuple[slice, slice]:

@@ -31,6 +31,32 @@ def summarize_quality(cases: Cases) -> dict[str, Any]:
     return summary | {"failed": find_failures(cases)}
 
 
+def summarize_pictures(cases: Cases) -> dict[str, Any]:
+    """Return the mean scores of each method, how often Farfield has the lowest FLIP, and its contour error relative to the best peer."""
+    methods = [name for name in next(iter(cases.values())) if name != "truth"]
+    means = {
+        score: {name: mean_of(cases, name, score) for name in methods}
+        for score in ("contours", "flip", "false_edge", "low_band_db", "seconds")
+    }
+    summary: dict[str, Any] = {"cases": len(cases), "means": means, "failed": find_failures(cases)}
+    peers = [name for name in methods if name in PEERS]
+    if "farfield" in methods and peers:
+        best_peer = min(means["contours"][name] for name in peers)
+        lowest = [scores["farfield"]["flip"] <= min(scores[name].get("flip", np.inf) for name in peers) for scores in cases.values()]
+        diffusion = [name for name in peers if name in DIFFUSION_PEERS]
+        low_band = [
+            scores["farfield"]["low_band_db"] >= max(scores[name]["low_band_db"] for name in diffusion) - MAX_LOW_BAND_LOSS
+            for scores in cases.values()
+            if diffusion
+        ]
+        summary |= {
+            "contours_to_best_peer": round(means["contours"]["farfield"] / max(best_peer, 1e-9), 3),
+            "flip_lowest": mean(lowest),
+            "low_band_near_best_diffusion": mean(low_band),
+        }
+    return summary
+
+
 def compare_distances(cases: Cases) -> dict[str, Any]:
     """Return how the patch distance of Farfield compares with the best peer of each case, and of each texture over its masks.
 

@@ -12,10 +12,12 @@ from ..operators.restore.operators import (
     FARFIELD_OT_restore_image,
     FARFIELD_OT_restore_mask,
     FARFIELD_OT_restore_outline,
+    FARFIELD_OT_restore_variant,
     counterpart,
     edited_image,
     find_problem,
     find_target,
+    list_variants,
 )
 from .sidebar import SettingsPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, sub_panels
 
@@ -69,6 +71,14 @@ class FARFIELD_PT_restore(RestoreSettingsPanel, ToolPanel, bpy.types.Panel):
         column.operator(FARFIELD_OT_restore_outline.bl_idname, text="Outline", icon="OVERLAY", depress=not outline.is_hidden)
         if counterpart(context) is not None:
             column.operator(FARFIELD_OT_restore_compare.bl_idname, text="Before / After", icon="ARROW_LEFTRIGHT")
+        variants, index = list_variants(context)
+        if variants:
+            row = layout.row(align=True)
+            previous = row.row(align=True)
+            previous.enabled = index > 0
+            previous.operator(FARFIELD_OT_restore_variant.bl_idname, text="", icon="TRIA_LEFT").direction = "previous"
+            label = f"Result {index + 2} of {len(variants)}" if index + 1 < len(variants) else "New Result"
+            row.operator(FARFIELD_OT_restore_variant.bl_idname, text=label, icon="TRIA_RIGHT").direction = "next"
 
 
 def is_sequence(context: bpy.types.Context) -> bool:

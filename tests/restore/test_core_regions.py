@@ -6,6 +6,7 @@ from scipy.ndimage import gaussian_filter
 
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.restore import regions, texture
+from farfield.addon.core.restore.guidance import Guide
 from farfield.addon.core.restore.labeling import Candidate, Labeling, measure_contrast
 from farfield.addon.core.restore.levels import Page, build_levels
 from farfield.addon.core.restore.regions import PatchStatistics
@@ -23,6 +24,13 @@ def disk(shape, radius, center=None):
 def build_level(image, hole, wrap=(False, False)):
     page = Page(np.where(hole[..., None], np.float32(0.0), image), hole, ~hole, ~hole, wrap)
     return page, build_levels([page], 1)[0]
+
+
+def neutral_guide(level):
+    """A guide for which all copies cost nothing, without fills."""
+    size = level.hole.size
+    values = np.zeros(size, np.float32)
+    return Guide(np.zeros((size, 1), np.float32), values, values, values, [[] for _ in level.tops])
 
 
 def seam_cost(level, pixels, sources):
@@ -87,7 +95,7 @@ class TestLabeling:
     @pytest.mark.parametrize("seed", range(4))
     def test_seams_cost_less_than_any_single_region_and_single_pixels_do_not_help(self, seed):
         level, pixels, candidates = self.prepare(seed)
-        labeling = Labeling(level, measure_contrast(level), pixels, candidates)
+        labeling = Labeling(level, measure_contrast(level), neutral_guide(level), pixels, candidates)
         labeling.optimize_blocks()
         in_blocks = seam_cost(level, pixels, labeling.sources)
         labeling.optimize_seams()
@@ -96,7 +104,7 @@ class TestLabeling:
 
     def test_one_candidate_is_taken(self):
         level, pixels, candidates = self.prepare(5)
-        labeling = Labeling(level, measure_contrast(level), pixels, candidates[:1])
+        labeling = Labeling(level, measure_contrast(level), neutral_guide(level), pixels, candidates[:1])
         labeling.optimize_blocks()
         labeling.optimize_seams()
         assert (labeling.sources == candidates[0].sources).all()
@@ -108,7 +116,7 @@ class TestLabeling:
         pixels = np.flatnonzero(level.hole)
         everything = np.arange(len(pixels))
         candidates = [Candidate(everything, pixels + level.offset(np.array(step))) for step in ((31, 7), (-20, 20), (9, -33))]
-        labeling = Labeling(level, measure_contrast(level), pixels, candidates)
+        labeling = Labeling(level, measure_contrast(level), neutral_guide(level), pixels, candidates)
         labeling.optimize_blocks()
         assert (labeling.sources == candidates[1].sources).all()
 
@@ -120,7 +128,7 @@ def test_smooth_parts_do_not_fill_other_textures():
     image[:, :90] = 0.5 + 0.15 * (image[:, :90] - 0.5)
     hole = disk((90, 180), 20, (45, 135))
     page, level = build_level(image, hole)
-    run_to_end(fill_texture([page], [level], RestoreSettings(pyramid_levels=1)))
+    run_to_end(fill_texture([page], [level], neutral_guide(level), RestoreSettings(pyramid_levels=1)))
     assert (level.source[level.hole] % level.shape[1] >= 90).mean() > 0.4
 
 
@@ -149,7 +157,7 @@ class TestFilling:
         random = np.random.default_rng(6)
         image, hole = gaussian_filter(random.random((140, 150, 1)), (1, 1, 0)).astype(np.float32), disk((140, 150), 30)
         page, level = build_level(image, hole)
-        run_to_end(fill_texture([page], [level], RestoreSettings(pyramid_levels=1)))
+        run_to_end(fill_texture([page], [level], neutral_guide(level), RestoreSettings(pyramid_levels=1)))
         sources = level.source[level.hole]
         assert (sources >= 0).all() and level.valid[sources].all() and not level.hole[sources].any()
         assert level.texture[level.hole].std() == pytest.approx(image[~hole].std(), rel=0.2)
@@ -167,7 +175,7 @@ class TestFilling:
         monkeypatch.setattr(
             texture, "synthesize", lambda *arguments: found.append(levels[0].hole & ~levels[0].filled) or original(*arguments)
         )
-        run_to_end(fill_texture([page], levels, RestoreSettings(pyramid_levels=1)))
+        run_to_end(fill_texture([page], levels, neutral_guide(levels[0]), RestoreSettings(pyramid_levels=1)))
         sources = levels[0].source[levels[0].hole]
         assert found and found[0].any() and levels[0].valid[sources].all()
 
@@ -179,7 +187,7 @@ class TestFilling:
         for row, column in random.integers(20, 110, (count, 2)):
             hole |= disk(hole.shape, 25 if count == 1 else 5, (row, column))
         page, level = build_level(image, hole)
-        run_to_end(fill_texture([page], [level], RestoreSettings(pyramid_levels=1)))
+        run_to_end(fill_texture([page], [level], neutral_guide(level), RestoreSettings(pyramid_levels=1)))
         gradients = [np.diff(level.page(0)[..., 0], axis=axis) for axis in (0, 1)]
         expected = [np.diff(image[..., 0], axis=axis) for axis in (0, 1)]
         for found, true, inside in zip(gradients, expected, (hole[1:], hole[:, 1:]), strict=True):

@@ -52,6 +52,21 @@ def test_the_image_of_the_editor_is_restored_and_the_result_is_shown(editor):
     assert shown(first).name == "source restored" and shown(second).name == "source", "only the editor of the button changes"
 
 
+def test_variants_go_back_and_forth_and_the_next_seed_follows_the_last(editor):
+    area, random = editor[0], np.random.default_rng(3)
+    pixels = np.repeat(np.repeat(random.random((HEIGHT // 2, WIDTH // 2, 1), np.float32), 2, 0), 2, 1)
+    area.spaces.active.image = new_image("source", np.dstack([pixels, pixels, pixels, np.ones_like(pixels)]))
+    new_mask()
+    assert not bpy.ops.farfield.restore_variant.poll()
+    group = bpy.context.scene.farfield_restore
+    group.mask_image, group.split, group.sub_bands, group.seed = "mask", "manual", 0, 4
+    assert bpy.ops.farfield.restore_image() == {"FINISHED"}
+    for direction, name in (("next", ".001"), ("previous", ""), ("previous", ""), ("next", ".001")):
+        assert bpy.ops.farfield.restore_variant(direction=direction) == {"FINISHED"} and shown(area).name == f"source restored{name}"
+    assert group.seed == 5
+    assert [image.name for image in bpy.data.images if image.get(ORIGINAL_PROPERTY)] == ["source restored", "source restored.001"]
+
+
 def test_create_mask_shows_a_black_image_to_paint_and_restores_the_masked_image(editor):
     area = editor[0]
     area.spaces.active.image = source = new_image("Fläche", ramp())

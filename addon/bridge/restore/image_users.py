@@ -20,7 +20,13 @@ def read_image_property(image: bpy.types.Image | None, name: str) -> bpy.types.I
 
 def find_restored(original: bpy.types.Image) -> bpy.types.Image | None:
     """Return the newest image that was restored from `original`, None if there is none."""
-    return max(_all_restored(original), key=lambda image: image.session_uid, default=None)
+    return next(reversed(list_restored(original)), None)
+
+
+def list_restored(original: bpy.types.Image) -> list[bpy.types.Image]:
+    """Return the images that were restored from `original`, the oldest first."""
+    found = [image for image in bpy.data.images if read_image_property(image, ORIGINAL_PROPERTY) == original]
+    return sorted(found, key=lambda image: image.session_uid)
 
 
 def is_normal_map(image: bpy.types.Image) -> bool:
@@ -34,7 +40,7 @@ def replace_image(original: bpy.types.Image, new: bpy.types.Image) -> list[str]:
 
     Returns the names of the data-blocks that use such an image but cannot be changed, because they are linked or library overrides.
     """
-    old, skipped = [original, *(image for image in _all_restored(original) if image != new)], []
+    old, skipped = [original, *(image for image in list_restored(original) if image != new)], []
     for owner, tree in _node_trees():
         nodes = [node for node in tree.nodes if getattr(node, "image", None) in old]
         if nodes and not _is_editable(owner):
@@ -71,10 +77,6 @@ def set_brush_color(tools: bpy.types.ToolSettings, color: tuple[float, float, fl
     brush = tools.image_paint.brush
     if brush is not None and brush.is_editable:
         brush.color = color
-
-
-def _all_restored(original: bpy.types.Image) -> list[bpy.types.Image]:
-    return [image for image in bpy.data.images if read_image_property(image, ORIGINAL_PROPERTY) == original]
 
 
 def _node_trees() -> Iterator[tuple[bpy.types.ID, bpy.types.NodeTree]]:

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from ..imaging.graph_cuts import minimize_binary
+from .guidance import Guide
 from .levels import SIDES, Level
 
 BOUNDARY_WEIGHT = 2.0  # weight of differences across the boundary of the hole
@@ -48,14 +49,15 @@ class Labeling:
     sources: (P,) int64, the source of each pixel.
     """
 
-    def __init__(self, level: Level, contrast: np.ndarray, pixels: np.ndarray, candidates: list[Candidate]) -> None:
+    def __init__(self, level: Level, contrast: np.ndarray, guide: Guide, pixels: np.ndarray, candidates: list[Candidate]) -> None:
         """Start with the first candidate for each of the `pixels` (P,) of `level`; `contrast` (H * W,) is that of its texture."""
-        self._level, self._contrast, self._pixels, self._candidates = level, contrast, pixels, candidates
+        self._level, self._contrast, self._guide, self._pixels, self._candidates = level, contrast, guide, pixels, candidates
         self.sources = np.full(len(pixels), -1)
         for members, targets in reversed(candidates):
             self.sources[members] = targets
-        variance = float(level.texture[level.valid].var(axis=0).sum())
-        self._scale = RESOLUTION / max(np.sqrt(variance), 1e-6)
+        self._deviation = max(float(np.sqrt(level.texture[level.valid].var(axis=0).sum())), 1e-6)
+        self._scale = RESOLUTION / self._deviation
+        self._costs = guide.costs(pixels, self.sources, self._deviation)
         numbers = np.full(level.hole.size, -1, np.int32)
         numbers[pixels] = np.arange(len(pixels))
         neighbors, exists = level.neighbors(pixels, SIDES)
@@ -100,6 +102,8 @@ class Labeling:
         place = np.full(len(self._pixels), -1)  # within members
         place[members] = np.arange(len(members))
         current, pairs = self.sources[members], []
+        costs = self._guide.costs(self._pixels[members], targets, self._deviation)
+        linear += np.bincount(nodes, costs - self._costs[members], count)
         for side, offset in enumerate(self._offsets):
             known = self._known[members, side]
             at = np.flatnonzero(known >= 0)
@@ -120,7 +124,7 @@ class Labeling:
                 weights = np.maximum(first_stays + second_stays - both_stay, 0.0)
                 pairs.append((nodes[at][is_cut], nodes[to][is_cut], self._scale * weights[is_cut]))
         changes = minimize_binary(self._scale * linear, *(np.concatenate(parts) for parts in zip(*pairs, strict=True)))[nodes]
-        self.sources[members[changes]] = targets[changes]
+        self.sources[members[changes]], self._costs[members[changes]] = targets[changes], costs[changes]
 
     def _boundary(self, first: np.ndarray, known: np.ndarray) -> np.ndarray:
         """Return the cost (E,) of copies of `first` (E,) where `known` (E,) is."""

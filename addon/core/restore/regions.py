@@ -11,6 +11,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from ..jobs.progress import Progress, Steps
+from .guidance import Guide
 from .labeling import Candidate, Labeling, measure_contrast
 from .levels import RADIUS, Level, square_steps
 from .shifts import Surroundings, find_shifts
@@ -64,17 +65,17 @@ class _Choice(NamedTuple):
     histograms: list[np.ndarray]
 
 
-def copy_regions(level: Level, seed: int) -> Steps[None]:
+def copy_regions(level: Level, guide: Guide, seed: int) -> Steps[None]:
     """Fill the holes of `level` in place, band by band, as far as shifts reach a source."""
     total = np.count_nonzero(level.hole)
     done, before = 0, -1
     while before < done < total:
         before = done
-        yield from _fill_bands(level, np.random.default_rng([seed, done]), done, total)
+        yield from _fill_bands(level, guide, np.random.default_rng([seed, done]), done, total)
         done = np.count_nonzero(level.hole & level.filled)
 
 
-def _fill_bands(level: Level, generator: np.random.Generator, done: int, total: int) -> Steps[None]:
+def _fill_bands(level: Level, guide: Guide, generator: np.random.Generator, done: int, total: int) -> Steps[None]:
     """Fill the next band of each hole. `done` of `total` pixels are filled already."""
     statistics, contrast = PatchStatistics(level, generator), measure_contrast(level)
     pages = [page for page in range(len(level.tops)) if (level.hole & ~level.filled)[level.pixels(page)].any()]
@@ -87,7 +88,8 @@ def _fill_bands(level: Level, generator: np.random.Generator, done: int, total: 
             continue
         choice = _Choice(pixels, [], [])
         for each in candidates:
-            labeling = Labeling(level, contrast, pixels, each)
+            each += [Candidate(np.arange(len(pixels)), (pixels + offset).astype(np.int32)) for offset in guide.fills[page]]
+            labeling = Labeling(level, contrast, guide, pixels, each)
             labeling.optimize_blocks()
             level.copy(pixels, labeling.sources)
             choice.attempts.append(labeling)

@@ -9,15 +9,19 @@ from ..imaging.diffusion import diffuse
 from ..imaging.images import decode_normals
 from ..jobs.chunks import slices
 from ..jobs.progress import Progress, StageClock, Steps, subprogress
+from .contours import join_contours
 from .frequency_split import LowBand, choose_sub_bands
+from .guidance import Look, build_guide, describe_page
 from .levels import RADIUS, Page, build_levels
 from .settings import RestoreSettings
 from .texture import fill_texture
+from .voting import complete
 from .windows import Window, choose_areas, find_windows, group_windows
 
 MIN_SIDE = 2 * RADIUS + 1
 ROWS = 256  # rows of an image that are examined at once
 MAX_VALUE = 1e12  # Squares of larger values leave single precision soon.
+MIN_EVENNESS = 0.5  # around a hole in which only copies of texture fit
 MIN_SOURCES = 64  # pixels with a neighborhood that may be copied
 
 
@@ -44,12 +48,21 @@ class Restoration:
 
 @dataclass(frozen=True)
 class _Options:
-    """What all windows have in common; usable: (H, W) bool, pixels that may be copied."""
+    """What all windows have in common.
+
+    Attributes:
+        settings: of the restoration.
+        sub_bands: number of sub-bands of the structure.
+        usable: (H, W) bool, pixels that may be copied.
+        barriers: (H, W) bool, pixels that diffusion does not cross, or None.
+        curves: (H, W) bool, pixels of contours that continue in holes, and the barriers.
+    """
 
     settings: RestoreSettings
     sub_bands: int
     usable: np.ndarray
     barriers: np.ndarray | None
+    curves: np.ndarray
 
 
 def restore(
@@ -90,9 +103,12 @@ def restore(
         windows = find_windows(mask, settings.tileable)
     with clock.stage("first fill"):
         pixels = np.where(mask[..., None], np.float32(0.0), image).astype(np.float32, copy=False)
+        curves = np.zeros_like(mask) if barriers is None else barriers.copy()
         for index, window in enumerate(windows):
             yield Progress(0.1 * index / len(windows), "Filling structure")
-            _write(pixels, window, diffuse(pixels[window.area], window.hole, _part(barriers, window), window.wrap)[window.hole])
+            smooth = diffuse(pixels[window.area], window.hole, _part(barriers, window), window.wrap)
+            curves[window.area] |= join_contours(smooth, window.hole, ~mask[window.area])
+            _write(pixels, window, diffuse(smooth, window.hole, curves[window.area], window.wrap)[window.hole])
     sub_bands, deviations = -1, np.zeros(0)
     if settings.split == "auto":
         yield Progress(0.1, "Choosing sub-bands")
@@ -103,7 +119,7 @@ def restore(
     if keep_stages:
         stages["first_fill"] = pixels.copy()
     if sub_bands >= 0:
-        options = _Options(settings, sub_bands, ~mask if source_mask is None else ~mask & source_mask, barriers)
+        options = _Options(settings, sub_bands, ~mask if source_mask is None else ~mask & source_mask, barriers, curves)
         yield from subprogress(_restore_texture(pixels, mask, windows, options, clock, stages), 0.15, 1.0)
         pixels[mask] = np.clip(pixels[mask], *_find_range(image, mask))
     if is_normal_map:
@@ -124,14 +140,20 @@ def _restore_texture(
     results = []
     groups, total, done = group_windows(windows), int(mask.sum()), 0
     for group in groups:
-        structures, pages = [], []
+        structures, pages, fills, looks, numbers = [], [], [], [], []
         for window in group:
             with clock.stage("structure"):
                 low = low_band.evaluate(window.rows, window.columns)
                 structures.append(diffuse(low, window.hole, _part(options.barriers, window), window.wrap))
             pages.append(Page(pixels[window.area] - low, window.hole, ~mask[window.area], options.usable[window.area], window.wrap))
+            if options.settings.method == "regions":
+                looks.append(describe_page(pages[-1], options.curves[window.area]))
+                with clock.stage("patches"):
+                    found = _build_fills(pixels[window.area], structures[-1], pages[-1], looks[-1], options.settings.seed)
+                numbers.append([len(group) + len(fills) + index for index in range(len(found))])
+                fills += found
         with clock.stage("pyramid"):
-            pages += _further_pages(pixels, mask, low_band, pages, options)
+            pages += fills + _further_pages(pixels, mask, low_band, pages, options)
             levels = build_levels(pages, options.settings.pyramid_levels)
             sources = int(levels[0].valid.sum())
             if sources < MIN_SOURCES:
@@ -141,7 +163,8 @@ def _restore_texture(
                 )
         count = sum(int(window.hole.sum()) for window in group)
         with clock.stage("texture"):
-            yield from subprogress(fill_texture(pages, levels, options.settings), done / total, (done + count) / total)
+            guide = build_guide(levels[0], pages, looks, numbers) if fills else None
+            yield from subprogress(fill_texture(pages, levels, guide, options.settings), done / total, (done + count) / total)
         done += count
         for index, (window, structure) in enumerate(zip(group, structures, strict=True)):
             texture = levels[0].page(index)
@@ -151,6 +174,15 @@ def _restore_texture(
                 _write(stages["high_filled"], window, texture[window.hole])
     for window, values in results:  # at the end, so that no hole copies from another one
         _write(pixels, window, values)
+
+
+def _build_fills(pixels: np.ndarray, structure: np.ndarray, page: Page, look: Look, seed: int) -> list[Page]:
+    """Return pages with fills of the hole of `page`, without their `structure` (H, W, C): that of `pixels` (H, W, C), and one by patches,
+    unless all surroundings are texture. A pixel of the hole may only be copied from the same pixel of a fill."""
+    nothing = np.zeros_like(page.hole)
+    is_texture = float(look.evenness[page.hole].min()) > MIN_EVENNESS
+    fills = [pixels] if is_texture else [pixels, complete(pixels, page, seed)]
+    return [Page(fill - structure, nothing, ~nothing, nothing, page.wrap) for fill in fills]
 
 
 def _further_pages(pixels: np.ndarray, mask: np.ndarray, low_band: LowBand, pages: list[Page], options: "_Options") -> list[Page]:

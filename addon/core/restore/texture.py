@@ -12,6 +12,7 @@ import numpy as np
 
 from ..imaging.grid_solver import solve_linked
 from ..jobs.progress import Steps, subprogress
+from .guidance import Guide
 from .levels import SIDES, Level, Page, build_levels
 from .regions import copy_regions
 from .settings import RestoreSettings
@@ -21,12 +22,15 @@ FIDELITY = 0.01  # weight of the copies relative to that of the differences: ste
 BOUNDARY_WEIGHT = 3.0  # weight of differences across the boundary of the hole
 
 
-def fill_texture(pages: list[Page], levels: list[Level], settings: RestoreSettings) -> Steps[None]:
-    """Fill the holes of the finest of `levels`, built from `pages`, in place. Coarser levels may change, too."""
+def fill_texture(pages: list[Page], levels: list[Level], guide: Guide | None, settings: RestoreSettings) -> Steps[None]:
+    """Fill the holes of the finest of `levels`, built from `pages`, in place. Coarser levels may change, too.
+
+    guide: for regions.
+    """
     level = levels[0]
     total, remaining = np.count_nonzero(level.hole), level.hole
     if settings.method == "regions":
-        yield from subprogress(copy_regions(level, settings.seed), 0.0, 0.9)
+        yield from subprogress(copy_regions(level, guide, settings.seed), 0.0, 0.9)
         remaining = level.hole & ~level.filled
         if remaining.any():
             levels = build_levels([_update(page, level, index) for index, page in enumerate(pages)], settings.pyramid_levels)

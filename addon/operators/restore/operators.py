@@ -117,6 +117,50 @@ class FARFIELD_OT_restore_compare(bpy.types.Operator):
         return {"FINISHED"}
 
 
+class FARFIELD_OT_restore_variant(bpy.types.Operator):
+    """Show the previous or the next result of the image. After the last one, restore the image again with the next seed"""
+
+    bl_idname = "farfield.restore_variant"
+    bl_label = "Show Another Result of Restoration"
+    bl_options = {"REGISTER"}
+    __annotations__ = {
+        "direction": bpy.props.EnumProperty(
+            name="Direction",
+            description="Which result to show",
+            items=(("previous", "Previous", "The result before"), ("next", "Next", "The result after, or a new one with the next seed")),
+            default="next",
+        )
+    }
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Return whether an Image Editor shows a result and no job runs."""
+        reason = long_work.running_job_message() or ("" if list_variants(context)[0] else "Show a result of Restore first")
+        return long_work.poll_with_reason(cls, reason)
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Show another result."""
+        variants, index = list_variants(context)
+        index += 1 if self.direction == "next" else -1
+        if index < len(variants):
+            image_editors.show_image(image_editors.remember_editor(context), variants[max(index, 0)])
+            return {"FINISHED"}
+        context.scene.farfield_restore.seed += 1
+        original = image_users.read_image_property(variants[-1], image_users.ORIGINAL_PROPERTY)
+        return bpy.ops.farfield.restore_image("EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT", image=original.name)
+
+
+def list_variants(context: bpy.types.Context) -> tuple[list[bpy.types.Image], int]:
+    """Return the results of the original of the image in the editor, and which of them is shown; none if it is not a result."""
+    shown = image_editors.shown_image(context) if image_editors.is_image_editor(context) else None
+    original = image_users.read_image_property(shown, image_users.ORIGINAL_PROPERTY)
+    if original is None:
+        return [], 0
+    variants = image_users.list_restored(original)
+    return variants, variants.index(shown)
+
+
 def edited_image(context: bpy.types.Context) -> bpy.types.Image | None:
     """Return the image in the Image Editor, or the one that a shown mask belongs to; None if the editor is empty or there is none."""
     shown = image_editors.shown_image(context)
@@ -216,6 +260,7 @@ CLASSES = (
     FARFIELD_OT_restore_mask,
     FARFIELD_OT_restore_outline,
     FARFIELD_OT_restore_compare,
+    FARFIELD_OT_restore_variant,
 )
 register_settings, unregister_settings = properties.scene_settings_factory("farfield_restore", FARFIELD_PG_restore, CLASSES)
 
