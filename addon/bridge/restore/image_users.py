@@ -43,8 +43,9 @@ def list_maps(image: bpy.types.Image) -> list[bpy.types.Image]:
 
 
 def is_normal_map(image: bpy.types.Image) -> bool:
-    """Return whether a node tree links `image` to a Normal Map node, directly or through reroutes."""
-    return any(_feeds_normal_map(node) for _, tree in _node_trees() for node in tree.nodes if getattr(node, "image", None) == image)
+    """Return whether a node tree links `image`, or a result of its restoration, to a Normal Map node, directly or through reroutes."""
+    used = [image, *list_restored(image)]
+    return any(_feeds_normal_map(node) for _, tree in _node_trees() for node in tree.nodes if getattr(node, "image", None) in used)
 
 
 def replace_image(original: bpy.types.Image, new: bpy.types.Image) -> list[str]:
