@@ -22,7 +22,7 @@ from .errors import SettingsError
 
 TYPE_NAMES = {float: "a number", int: "an integer", bool: "true or false", str: "text", tuple: "a list of numbers"}
 ABBREVIATIONS = {"Mb": "MB", "Uv": "UV"}  # in labels
-SMALL_WORDS = {"Per": "per", "To": "to", "In": "in"}  # in labels, except as their first word
+SMALL_WORDS = {"Per": "per", "To": "to", "In": "in", "Of": "of"}  # in labels, except as their first word
 
 # What another setting must be: one of these values, or True for anything but off, 0 or empty, and False for the opposite.
 Condition = tuple[str, ...] | bool

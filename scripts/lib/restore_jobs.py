@@ -123,7 +123,7 @@ def restore_image(
                 source_mask=source_mask,
                 barriers=barriers,
                 is_color=image.is_color,
-                is_normal_map=given.normal_map,
+                normal_channels=(0,) if given.normal_map else (),
                 keep_stages=given.stages is not None,
             )
         except ImageError as error:

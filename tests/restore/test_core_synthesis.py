@@ -19,10 +19,10 @@ TEXTURE_ONLY = {"split": "manual", "sub_bands": 0}
 ALL_METHODS = [("regions", "shrinking"), *(("pixels", order) for order in ORDERS)]
 
 
-def run(image, mask, *, source_mask=None, barriers=None, is_color=True, is_normal_map=False, keep_stages=False, **values):
+def run(image, mask, *, source_mask=None, barriers=None, is_color=True, further_maps=(), normal_channels=(), keep_stages=False, **values):
     steps = restore(
         image, mask, RestoreSettings(**values), source_mask=source_mask, barriers=barriers, is_color=is_color,
-        is_normal_map=is_normal_map, keep_stages=keep_stages,
+        further_maps=further_maps, normal_channels=normal_channels, keep_stages=keep_stages,
     )  # fmt: skip
     return run_to_end(steps)
 
@@ -130,7 +130,7 @@ class TestKnownAnswers:
         normals = np.random.default_rng(3).normal(size=(50, 50, 3)) * [0.2, 0.2, 0.0] + [0.0, 0.0, 1.0]
         image = (0.5 + 0.5 * normals / np.linalg.norm(normals, axis=2, keepdims=True)).astype(np.float32)
         mask = disk((50, 50), 8)
-        result = run(image, mask, is_color=False, is_normal_map=True).pixels
+        result = run(image, mask, is_color=False, normal_channels=(0,)).pixels
         assert np.linalg.norm(2.0 * result - 1.0, axis=2) == pytest.approx(1.0, abs=1e-5)
 
 
@@ -245,7 +245,7 @@ class TestBadInput:
             (lambda image, mask: (np.where(mask[..., None], image, np.float32(2e12)), mask, {}), "beyond 1e\\+12"),
             (lambda image, mask: (np.where(mask[..., None], image, np.float32(np.inf)), mask, {}), "NaN or infinite"),
             (lambda image, mask: (image, mask, {"source_mask": mask}), "Only 0 pixels"),
-            (lambda image, mask: (image[..., :2], mask, {"is_normal_map": True}), "2 channels"),
+            (lambda image, mask: (image[..., :2], mask, {"normal_channels": (0,)}), "2 channels"),
         ],
         ids=["empty", "full", "mask size", "source size", "barrier size", "small", "huge", "infinite", "no source", "normals"],
     )

@@ -184,9 +184,9 @@ def test_masks_and_kinds_of_data_reach_the_restoration(folder, calls):
     np.testing.assert_array_equal(options["source_mask"], ~mask)
     np.testing.assert_array_equal(options["barriers"], mask[::-1])
     assert (chosen.split, chosen.sub_bands, chosen.tileable, chosen.order) == ("manual", 3, True, "scanline")
-    assert (options["is_color"], options["is_normal_map"], options["keep_stages"]) == (True, False, False)
-    assert (data["is_color"], data["is_normal_map"]) == (False, False)
-    assert (normal_map["is_color"], normal_map["is_normal_map"]) == (False, True)
+    assert (options["is_color"], options["normal_channels"], options["keep_stages"]) == (True, (), False)
+    assert (data["is_color"], data["normal_channels"]) == (False, ())
+    assert (normal_map["is_color"], normal_map["normal_channels"]) == (False, (0,))
 
 
 def test_float_data_is_used_as_stored(folder, calls):

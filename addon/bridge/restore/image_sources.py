@@ -9,7 +9,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ...core.errors import FileError, ImageError
+from ...core.errors import FarfieldError, FileError, ImageError
 from ...core.files.file_access import check_readable, convert_os_errors, is_file
 from ..blender import error_sentence
 from ..imaging.color_spaces import find_scene_linear_space
@@ -46,6 +46,27 @@ def check_image(image: bpy.types.Image) -> None:
         if "<" not in path:  # the path of a tiled image stands for several files
             check_readable(Path(path))
         raise FileError(f'"{image.name}" cannot be loaded from "{path}"; check that the file is a complete image.')
+
+
+def tile_sizes(image: bpy.types.Image) -> dict[int, tuple[int, int]]:
+    """Return the width and the height of every UDIM tile by number; an image without tiles has the number 0."""
+    return {tile.number: tuple(tile.size) for tile in image.tiles} if image.source == "TILED" else {0: tuple(image.size)}
+
+
+def find_obstacle(image: bpy.types.Image, other: bpy.types.Image) -> str:
+    """Return why `other` cannot be restored together with `image`, in a few words; an empty string if it can."""
+    if other.source in {"MOVIE", "SEQUENCE"}:
+        return "movie" if other.source == "MOVIE" else "image sequence"
+    if other.library is not None:
+        return "linked"
+    try:
+        check_image(other)
+    except FarfieldError:
+        return "cannot be read"
+    sizes, other_sizes = tile_sizes(image), tile_sizes(other)
+    if sizes.keys() != other_sizes.keys():
+        return "other tiles"
+    return "" if sizes == other_sizes else "other size"
 
 
 def list_frames(image: bpy.types.Image) -> dict[int, Path]:

@@ -29,9 +29,23 @@ def list_restored(original: bpy.types.Image) -> list[bpy.types.Image]:
     return sorted(found, key=lambda image: image.session_uid)
 
 
+def list_maps(image: bpy.types.Image) -> list[bpy.types.Image]:
+    """Return the other images that Image Texture nodes use in the materials of `image`, and in their node groups. Of a material that uses a
+    result of `image` in its place, these are the originals of other results."""
+    results, found = list_restored(image), {}
+    for material in bpy.data.materials:
+        used = _find_textures(material.node_tree)
+        if image in used:
+            found |= used
+        elif any(result in used for result in results):
+            found |= {read_image_property(each, ORIGINAL_PROPERTY) or each: None for each in used}
+    return [each for each in found if each not in {image, *results}]
+
+
 def is_normal_map(image: bpy.types.Image) -> bool:
-    """Return whether a node tree links `image` to a Normal Map node, directly or through reroutes."""
-    return any(_feeds_normal_map(node) for _, tree in _node_trees() for node in tree.nodes if getattr(node, "image", None) == image)
+    """Return whether a node tree links `image`, or a result of its restoration, to a Normal Map node, directly or through reroutes."""
+    used = [image, *list_restored(image)]
+    return any(_feeds_normal_map(node) for _, tree in _node_trees() for node in tree.nodes if getattr(node, "image", None) in used)
 
 
 def replace_image(original: bpy.types.Image, new: bpy.types.Image) -> list[str]:
@@ -88,6 +102,18 @@ def _node_trees() -> Iterator[tuple[bpy.types.ID, bpy.types.NodeTree]]:
             tree = getattr(owner, "node_tree", None)
             if tree is not None and tree.is_embedded_data:  # in Blender 5 the nodes of a scene are a node group
                 yield owner, tree
+
+
+def _find_textures(tree: bpy.types.NodeTree | None) -> dict[bpy.types.Image, None]:
+    """Return the images that Image Texture nodes use in a node tree and in its node groups, in their order."""
+    pending, found = [tree], {}
+    for each in pending:
+        for node in each.nodes if each is not None else ():
+            if node.type == "TEX_IMAGE" and node.image is not None:
+                found[node.image] = None
+            elif node.type == "GROUP" and node.node_tree not in pending:
+                pending.append(node.node_tree)
+    return found
 
 
 def _is_editable(owner: bpy.types.ID) -> bool:

@@ -21,6 +21,7 @@ from .windows import Window, choose_areas, find_windows, group_windows
 MIN_SIDE = 2 * RADIUS + 1
 ROWS = 256  # rows of an image that are examined at once
 MAX_VALUE = 1e12  # Squares of larger values leave single precision soon.
+MIN_DEVIATION = 0.02  # The others are scaled to the deviation of the first map, or to this one if that is smaller.
 MIN_EVENNESS = 0.5  # around a hole in which only copies of texture fit
 MIN_SOURCES = 64  # pixels with a neighborhood that may be copied
 
@@ -73,27 +74,31 @@ def restore(
     source_mask: np.ndarray | None = None,
     barriers: np.ndarray | None = None,
     is_color: bool = True,
-    is_normal_map: bool = False,
+    further_maps: tuple[int, ...] = (),
+    normal_channels: tuple[int, ...] = (),
     keep_stages: bool = False,
 ) -> Steps[Restoration]:
     """Fill the masked pixels of `image`.
 
     Args:
-        image: (H, W, C) float32 with 1 to 4 channels, within `MAX_VALUE` outside the mask. Colors are encoded for display (sRGB), so that
-            errors count as much in shadows as in highlights; data is used as it is.
+        image: (H, W, C) float32, within `MAX_VALUE` outside the mask: the 1 to 4 channels of one map, or those of several maps, in which
+            the same pixels are copied. Colors are encoded for display (sRGB), so that errors count as much in shadows as in highlights;
+            data is used as it is.
         mask: (H, W) bool, true where pixels are missing.
         settings: see `RestoreSettings`.
         source_mask: (H, W) bool, true where texture may be copied from; everywhere outside the mask by default.
         barriers: (H, W) bool, true at pixels that diffusion does not cross.
         is_color: the first three channels are sRGB colors; the split then follows CIE Y, otherwise the mean of all channels.
-        is_normal_map: the first three channels are normals 0.5 + 0.5 n, which are normalized again.
-        keep_stages: return the images of the stages as well: first_fill, low, low_filled, high, high_filled.
+        further_maps: the first channel of each map after the first one, which alone decides about outlines and the split. The others count
+            as much as the first one at most, however large their values are.
+        normal_channels: the first one of each three channels that are normals 0.5 + 0.5 n, which are normalized again.
+        keep_stages: return the images of the stages as well: first_fill, low, low_filled, high, high_filled; further maps are scaled there.
 
     Raises:
         ImageError: nothing or everything is masked, sizes differ, the image is too small, values are not finite or huge, too few pixels
             are left to copy texture from, or a normal map has less than three channels.
     """
-    if is_normal_map and image.shape[2] < 3:
+    if any(channel + 3 > image.shape[2] for channel in normal_channels):
         raise ImageError(f"The normal map has {image.shape[2]} channels; three are necessary.")
     _check(image, mask, {"source mask": source_mask, "barrier mask": barriers})
     clock = StageClock()
@@ -103,17 +108,19 @@ def restore(
         windows = find_windows(mask, settings.tileable)
     with clock.stage("first fill"):
         pixels = np.where(mask[..., None], np.float32(0.0), image).astype(np.float32, copy=False)
+        means, scales = _balance(pixels, mask, further_maps)
+        first = np.s_[..., : further_maps[0] if further_maps else image.shape[2]]
         curves = np.zeros_like(mask) if barriers is None else barriers.copy()
         for index, window in enumerate(windows):
             yield Progress(0.1 * index / len(windows), "Filling structure")
             smooth = diffuse(pixels[window.area], window.hole, _part(barriers, window), window.wrap)
-            curves[window.area] |= join_contours(smooth, window.hole, ~mask[window.area])
+            curves[window.area] |= join_contours(smooth[first], window.hole, ~mask[window.area])
             _write(pixels, window, diffuse(smooth, window.hole, curves[window.area], window.wrap)[window.hole])
     sub_bands, deviations = -1, np.zeros(0)
     if settings.split == "auto":
         yield Progress(0.1, "Choosing sub-bands")
         with clock.stage("kappa"):
-            sub_bands, deviations = choose_sub_bands(pixels, is_color)
+            sub_bands, deviations = choose_sub_bands(pixels[first], is_color)
     elif settings.split == "manual" and settings.sub_bands < max(mask.shape):
         sub_bands = settings.sub_bands
     if keep_stages:
@@ -121,10 +128,40 @@ def restore(
     if sub_bands >= 0:
         options = _Options(settings, sub_bands, ~mask if source_mask is None else ~mask & source_mask, barriers, curves)
         yield from subprogress(_restore_texture(pixels, mask, windows, options, clock, stages), 0.15, 1.0)
-        pixels[mask] = np.clip(pixels[mask], *_find_range(image, mask))
-    if is_normal_map:
-        pixels[mask, :3] = 0.5 + 0.5 * decode_normals(pixels[mask])
+    filled = pixels[mask]
+    if further_maps:
+        filled = filled / scales + means
+        np.copyto(pixels, image, where=~mask[..., None])
+    if sub_bands >= 0:
+        filled = np.clip(filled, *_find_range(image, mask))
+    for channel in normal_channels:
+        filled[:, channel : channel + 3] = 0.5 + 0.5 * decode_normals(filled[:, channel:])
+    pixels[mask] = filled
     return Restoration(pixels, sub_bands, deviations, len(windows), clock.seconds, stages)
+
+
+def _balance(pixels: np.ndarray, mask: np.ndarray, further_maps: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Subtract the means of the known pixels from the channels of further maps, and scale each of these maps so that its standard
+    deviation, of all of its channels together, is that of the first map at most.
+
+    Changes `pixels` (H, W, C). Returns the means and the scales (C,) float32, 0 and 1 for the first map.
+    """
+    means, scales = np.zeros(pixels.shape[2], np.float32), np.ones(pixels.shape[2], np.float32)
+    if not further_maps:
+        return means, scales
+    sums, squares, count = np.zeros(pixels.shape[2]), np.zeros(pixels.shape[2]), np.count_nonzero(~mask)
+    for rows in slices(len(pixels), ROWS):
+        known = pixels[rows][~mask[rows]].astype(np.float64)
+        sums, squares = sums + known.sum(axis=0), squares + np.square(known).sum(axis=0)
+    variances = np.maximum(squares / count - (sums / count) ** 2, 0.0)
+    starts = (0, *further_maps)
+    deviations = np.sqrt(np.add.reduceat(variances, starts))
+    for start, stop, deviation in zip(further_maps, (*further_maps[1:], pixels.shape[2]), deviations[1:], strict=True):
+        means[start:stop] = sums[start:stop] / count
+        scales[start:stop] = min(1.0, max(deviations[0], MIN_DEVIATION) / max(deviation, 1e-12))
+        pixels[..., start:stop] -= means[start:stop]
+        pixels[..., start:stop] *= scales[start:stop]
+    return means, scales
 
 
 def _restore_texture(

@@ -82,6 +82,11 @@ class MaskSettings(Settings):
     normal_map: bool = in_guides(
         False, "Treat the image as a normal map. Images that a Normal Map node uses are recognized without this option"
     )
+    all_maps_of_material: bool = setting(
+        False,
+        "Restore the other images of the material with the image, as far as they have its size: the same pixels are copied in all of them. "
+        "Not for image sequences",
+    )
     output_folder: str = setting("", "Folder for the restored frames of an image sequence", path="folder")
     replace_in_materials: bool = setting(
         False, "Use the result in place of the image, and of earlier results, in all materials, Worlds, lights and textures"

@@ -8,7 +8,7 @@ import numpy as np
 from ...bridge.imaging.images import read_pixels
 from ...bridge.objects import find_by_uid
 from ...bridge.restore.image_pixels import has_color, is_bright, read_format, to_display
-from ...bridge.restore.image_sources import check_image, find_image, list_frames, load_frame, read_tiles
+from ...bridge.restore.image_sources import check_image, find_image, list_frames, load_frame, read_tiles, tile_sizes
 from ...core.errors import FarfieldError, ImageError
 from ...core.restore.settings import MaskSettings
 
@@ -103,8 +103,7 @@ def find_shown_masks(image: bpy.types.Image, settings: MaskSettings) -> dict[int
     try:
         if settings.mask == "image":
             reader = MaskReader(settings.mask_image, "Mask Image", settings.threshold, image)
-            sizes = {tile.number: tile.size for tile in image.tiles} if image.source == "TILED" else {UNTILED: image.size}
-            masks = {number: reader.read(number, (size[1], size[0]), "the image") for number, size in sizes.items()}
+            masks = {number: reader.read(number, size[::-1], "the image") for number, size in tile_sizes(image).items()}
             return {number: mask for number, mask in masks.items() if mask is not None}
         tiles, pixel_format = read_tiles(image), read_format(image)
         return {number: find_missing(stored, to_display(stored, pixel_format), settings) for number, stored in tiles.items()}

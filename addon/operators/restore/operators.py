@@ -10,7 +10,7 @@ import numpy as np
 from ...bridge.blender import redraw_areas
 from ...bridge.restore import image_users
 from ...bridge.restore.image_pixels import read_format
-from ...bridge.restore.image_sources import check_image, find_image, list_frames, read_tiles
+from ...bridge.restore.image_sources import check_image, find_image, find_obstacle, list_frames, read_tiles
 from ...bridge.restore.image_users import WHITE, create_mask, set_brush_color
 from ...bridge.restore.outline import outline
 from ...core.errors import ImageError, SettingsError
@@ -19,9 +19,10 @@ from ...core.restore.settings import MaskSettings, RestoreSettings
 from .. import image_editors, long_work, properties, start_job
 from ..error_reports import report_message, reports_errors
 from .guides import GuideReader, find_shown_masks
-from .job import ImageJob, RestoreJob, SequenceJob
+from .job import ImageJob, Map, RestoreJob, SequenceJob
 
 NO_IMAGE = "Open an image in the Image Editor"
+NO_MAPS = "turn off All Maps of Material, which restores single images and tiles only"
 
 
 def _image_property(action: str) -> Any:
@@ -196,17 +197,27 @@ def prepare(context: bpy.types.Context, name: str, masks: MaskSettings, settings
     Raises:
         ImageError: the image or a mask cannot be used.
         FileError: a file cannot be read.
-        SettingsError: the image is a sequence and there is no output folder.
+        SettingsError: the image is a sequence, and there is no output folder or all maps of the material are to be restored.
     """
     image = require_image(context, name, masks)
+    if image.source == "SEQUENCE" and masks.all_maps_of_material:
+        raise SettingsError(f'"{image.name}" is an image sequence; {NO_MAPS}.', ("all_maps_of_material",))
     guides = GuideReader(masks, image)
-    is_normal_map = masks.normal_map or image_users.is_normal_map(image)
-    common = (image.name, image.session_uid, settings, masks, is_normal_map, image_editors.remember_editor(context))
+    others = {other: find_obstacle(image, other) for other in image_users.list_maps(image)} if masks.all_maps_of_material else {}
+    images = [image, *(other for other, obstacle in others.items() if not obstacle)]
+    maps = [Map(each.name, each.session_uid, image_users.is_normal_map(each) or (masks.normal_map and each == image)) for each in images]
+    common = (maps, settings, masks, image_editors.remember_editor(context))
     if image.source == "SEQUENCE":
         return SequenceJob(*common, frames=list_frames(image), guides=guides, folder=_output_folder(image, masks))
-    tiles = read_tiles(image)
-    found = {number: guides.read(number, stored.shape, f"Tile {number}" if number else "") for number, stored in tiles.items()}
-    return ImageJob(*common, tiles=tiles, guides={number: item for number, item in found.items() if item}, pixel_format=read_format(image))
+    tiles = [read_tiles(each) for each in images]
+    found = {number: guides.read(number, stored.shape, f"Tile {number}" if number else "") for number, stored in tiles[0].items()}
+    return ImageJob(
+        *common,
+        tiles=tiles,
+        formats=[read_format(each) for each in images],
+        guides={number: item for number, item in found.items() if item},
+        left_out={other.name: obstacle for other, obstacle in others.items() if obstacle},
+    )
 
 
 def _output_folder(image: bpy.types.Image, masks: MaskSettings) -> Path:
@@ -223,6 +234,8 @@ def find_problem(image: bpy.types.Image, group: bpy.types.PropertyGroup) -> str:
     """Return why `image` cannot be restored with the panel's settings in `group`, or an empty string. Reads no pixels and no files."""
     if image.source in {"MOVIE", "VIEWER"} or image.type == "MULTILAYER":
         return "Only single images, tiled images and image sequences can be restored"
+    if image.source == "SEQUENCE" and group.all_maps_of_material:
+        return f"For an image sequence, {NO_MAPS}"
     if image.source == "SEQUENCE" and not group.output_folder:
         return "Choose an output folder for the frames"
     if group.mask != "image":
