@@ -39,7 +39,9 @@ def find(*meshes: TriangleMesh, density: list | None = None):
 
 def unwrap_stacked(mesh: TriangleMesh, **settings):
     count = len(mesh.triangles)
-    return run_to_end(unwrap(mesh, np.arange(count), np.zeros((0, 2), int), np.zeros(count), UnwrapSettings(stack=True, **settings)))
+    return run_to_end(
+        unwrap(mesh, np.arange(count), np.zeros((0, 2), int), np.zeros(count), UnwrapSettings(stack_equal_islands=True, **settings))
+    )
 
 
 def test_a_moved_and_renumbered_copy_is_found_with_its_corners():
@@ -124,5 +126,5 @@ def test_parts_with_other_seams_are_not_stacked():
     mesh = concatenate([part, moved(part, 3)])
     seam = mesh.triangles[0][[0, 1]], mesh.triangles[0][[1, 2]], mesh.triangles[0][[2, 0]]
     count = len(mesh.triangles)
-    result = run_to_end(unwrap(mesh, np.arange(count), np.array(seam), np.zeros(count), UnwrapSettings(stack=True)))
+    result = run_to_end(unwrap(mesh, np.arange(count), np.array(seam), np.zeros(count), UnwrapSettings(stack_equal_islands=True)))
     assert result.metrics.overlaps == 0 and result.chart_count == 3

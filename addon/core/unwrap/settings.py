@@ -81,10 +81,9 @@ class UnwrapSettings(Settings):
     orientation: str = setting(
         "auto", "How UV islands of walls and other vertical surfaces are turned", choices=ORIENTATIONS, group=OPTIONS
     )
-    stack: bool = setting(
+    stack_equal_islands: bool = setting(
         False,
         "Give equal parts and UV islands the same place in the UV map, so that they share texels",
-        label="Stack Equal Islands",
         group=OPTIONS,
     )
     balance: str = setting(

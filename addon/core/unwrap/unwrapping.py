@@ -87,7 +87,7 @@ def unwrap(
     yield Progress(0.0, "Cutting")
     density = settings.density_ratio**importance
     parts, copies = np.zeros(len(density), np.int64), Copies.none(len(density))
-    if settings.stack:
+    if settings.stack_equal_islands:
         parts, copies = yield from subprogress(_find_equal_parts(mesh, density, polygon_ids, seams), 0.0, 0.0)
     kept = np.flatnonzero(~copies.is_copy)
     surface = Chart(mesh.vertices, mesh.triangles[kept], density[kept], polygon_ids[kept])
@@ -109,9 +109,9 @@ def unwrap(
     yield Progress(PARAMETERIZATION_END, "Packing")
     texels_per_unit = settings.texel_density * unit_length / float(np.sqrt(_mean_density(charts, uvs)))
     texture = replace(settings.texture, density=texels_per_unit)
-    steps = pack(surface, charts, uvs, texture, settings.stack)
+    steps = pack(surface, charts, uvs, texture, settings.stack_equal_islands)
     if follows_creases:
-        steps = merge_and_pack(surface, charts, uvs, halfedges, texture, settings.stack)
+        steps = merge_and_pack(surface, charts, uvs, halfedges, texture, settings.stack_equal_islands)
     packed = yield from subprogress(steps, PARAMETERIZATION_END, PACKING_END)
     if settings.orientation != "fill":
         steps = pack_upright(packed, texture, settings.orientation == "upright")
