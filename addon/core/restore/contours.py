@@ -71,7 +71,7 @@ def _find_ends(image: np.ndarray, hole: np.ndarray, known: np.ndarray) -> list[E
     """Find the edges that reach the hole, by their pixels at some distance from it."""
     distance = distance_transform_edt(~hole)
     nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
-    colors = image[..., : min(image.shape[2], 3)][tuple(nearest)]  # A smooth fill would bend edges near the hole.
+    colors = image[..., :3][tuple(nearest)]  # A smooth fill would distort edges near the hole.
     edges, gradient = _find_color_edges(colors)
     is_near = edges & (distance >= NEAREST) & (distance <= FARTHEST) & (distance_transform_edt(known) >= NEAREST)
     points, distances = np.argwhere(is_near), distance[is_near]
@@ -114,7 +114,7 @@ def _find_color_edges(colors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _measure(points: np.ndarray, colors: np.ndarray, distance: np.ndarray) -> End | None:
     """Fit a parabola to the `points` (K, 2) of an edge, sorted from the hole outward, and measure the `colors` on its sides. Returns None
-    for what is no clear edge."""
+    if the edge is not clear."""
     if len(points) < MIN_LENGTH:
         return None
     center = points.mean(axis=0)

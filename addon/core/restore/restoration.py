@@ -114,8 +114,11 @@ def restore(
         for index, window in enumerate(windows):
             yield Progress(0.1 * index / len(windows), "Filling structure")
             smooth = diffuse(pixels[window.area], window.hole, _part(barriers, window), window.wrap)
-            curves[window.area] |= join_contours(smooth[first], window.hole, ~mask[window.area])
-            _write(pixels, window, diffuse(smooth, window.hole, curves[window.area], window.wrap)[window.hole])
+            joined = join_contours(smooth[first], window.hole, ~mask[window.area])
+            if joined.any():
+                curves[window.area] |= joined
+                smooth = diffuse(smooth, window.hole, curves[window.area], window.wrap)
+            _write(pixels, window, smooth[window.hole])
     sub_bands, deviations = -1, np.zeros(0)
     if settings.split == "auto":
         yield Progress(0.1, "Choosing sub-bands")

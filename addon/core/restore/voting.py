@@ -128,8 +128,7 @@ class _Patches:
         for jump in JUMPS:
             for step in ((jump, 0), (-jump, 0), (0, jump), (0, -jump)):
                 rows, columns = self._rows + step[0], self._columns + step[1]
-                exists = (rows >= 0) & (rows < self._shape[0]) & (columns >= 0) & (columns < self._shape[1])
-                at = np.flatnonzero(exists)
+                at = np.flatnonzero(self._exist(rows, columns))
                 others = self._numbers[rows[at] * self._shape[1] + columns[at]]
                 at, others = at[others >= 0], others[others >= 0]
                 rows[at], columns[at] = np.divmod(self.matches[others], self._shape[1])
@@ -168,10 +167,14 @@ class _Patches:
     def _within(self, at: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return those of the indices `at` (N,) whose `rows` and `columns` (P,) are a source, and these sources, flat."""
         rows, columns = rows[at], columns[at]
-        exists = (rows >= 0) & (rows < self._shape[0]) & (columns >= 0) & (columns < self._shape[1])
+        exists = self._exist(rows, columns)
         at, sources = at[exists], (rows * self._shape[1] + columns)[exists]
         is_source = self._is_source[sources]
         return at[is_source], sources[is_source]
+
+    def _exist(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Return whether pixels at `rows` and `columns` (N,) are in the image."""
+        return (rows >= 0) & (rows < self._shape[0]) & (columns >= 0) & (columns < self._shape[1])
 
     def _try(self, at: np.ndarray, sources: np.ndarray) -> None:
         """Take those of the `sources` (N,) that are more similar to the patches `at` (N,) than their matches."""
