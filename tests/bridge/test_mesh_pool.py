@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from farfield.addon.bridge.geometry import mesh_arrays, mesh_pool
-from farfield.addon.bridge.geometry.mesh_pool import SPARE_KEY, PendingMeshes, fill_mesh
+from farfield.addon.bridge.geometry.mesh_pool import PENDING_KEY, SPARE_KEY, PendingMeshes, fill_mesh
+from farfield.addon.core.errors import GeometryError
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 VERTICES = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.5], [0.0, 1.0, 0.0]])
@@ -55,13 +56,13 @@ def test_a_mesh_that_is_filled_again_keeps_nothing_but_its_materials():
 
 def show(pending, item_of):
     """Show all pending meshes; the ones before become spare."""
-    for key, name in pending.names.items():
+    for key in pending.names:
         before, item = None, item_of.get(key)
         if item is None:
-            item = item_of[key] = bpy.data.objects.new("Tile", mesh_pool.claim(name))
+            item = item_of[key] = bpy.data.objects.new("Tile", pending.claim(key))
             bpy.context.collection.objects.link(item)
         else:
-            before, item.data = item.data, mesh_pool.claim(name)
+            before, item.data = item.data, pending.claim(key)
             mesh_pool.mark_spare(before, "test")
 
 
@@ -73,7 +74,7 @@ def test_two_sets_of_meshes_serve_any_number_of_changes():
             pending.fill(key, VERTICES, TRIANGLES)
         assert all(bpy.data.meshes[name].users == 0 for name in pending.names.values())
         show(pending, item_of)
-        assert all(SPARE_KEY not in item.data for item in item_of.values())
+        assert not any({SPARE_KEY, PENDING_KEY} & set(item.data.keys()) for item in item_of.values())
     assert len(bpy.data.meshes) == 8 and len(mesh_pool.spare_meshes("test")) == 4
 
 
@@ -110,3 +111,31 @@ def test_a_spare_mesh_that_somebody_uses_or_removes_is_not_filled():
     for key in "ab":
         second.fill(key, VERTICES[:3], TRIANGLES[:1])
     assert len(item.data.polygons) == 2 and len(bpy.data.meshes) == 3
+
+
+def use(mesh):
+    bpy.data.objects.new("Mine", mesh)
+
+
+def forget(mesh):
+    """Bring back the mesh of an earlier undo step, which was spare or shown."""
+    del mesh[PENDING_KEY]
+
+
+def fill_again(mesh):
+    PendingMeshes("test", "Tile").fill("c", VERTICES[:3], TRIANGLES[:1])
+
+
+def remove(mesh):
+    bpy.data.meshes.remove(mesh)
+
+
+@pytest.mark.parametrize("change", [use, forget, fill_again, remove])
+def test_pending_meshes_that_have_changed_are_not_shown(change):
+    pending = PendingMeshes("test", "Tile")
+    for key in "ab":
+        pending.fill(key, VERTICES, TRIANGLES)
+    pending.check()
+    change(bpy.data.meshes[pending.names["b"]])
+    with pytest.raises(GeometryError, match="Undo has removed meshes"):
+        pending.check()

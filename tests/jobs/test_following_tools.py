@@ -93,12 +93,12 @@ class TileChange:
             time.sleep(STEP_SECONDS)
             yield
         children = {child["index"]: child for child in self.terrain.root.children}
-        for key, name in self.pending.names.items():
+        for key in self.pending.names:
             if key in children:
                 mesh_pool.mark_spare(children[key].data, self.tool.identifier)
-                children[key].data = mesh_pool.claim(name)
+                children[key].data = self.pending.claim(key)
             else:
-                self.terrain.add_child("Tile", mesh_pool.claim(name))["index"] = key
+                self.terrain.add_child("Tile", self.pending.claim(key))["index"] = key
 
 
 class TileTool:

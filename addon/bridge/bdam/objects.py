@@ -22,7 +22,7 @@ from ...core.errors import FileError
 from ...core.files.file_access import is_folder
 from ...core.json_values import parse_json
 from ..geometry.mesh_arrays import write_attribute, write_triangles
-from ..geometry.mesh_pool import PendingMeshes, check_pending, claim, mark_spare
+from ..geometry.mesh_pool import PendingMeshes, mark_spare
 from ..terrain_roots import TerrainRoot, remove_terrain
 from .materials import LEVEL_ATTRIBUTE, MATERIAL_KEY, TextureMaterials, create_material, mark_used, remove_unused
 
@@ -150,15 +150,19 @@ class TerrainChange:
             self._textures.ensure(number, f"{self._terrain.name} {self._engine.texture_label(number)}", tile)
 
     def check_pending(self) -> None:
-        """Check that undo has not removed the filled meshes; see `mesh_pool.check_pending`."""
-        check_pending(self._meshes.names.values())
+        """Check that undo has not changed the filled meshes; see `PendingMeshes.check`."""
+        self._meshes.check()
 
     def show(self, update: Update) -> Iterator[None]:
         """Show all meshes at once. The meshes that they replace become spare."""
         return self.show_in(self._terrain, update)
 
     def show_in(self, terrain: SceneTerrain, update: Update) -> Iterator[None]:
-        """Show all meshes in a terrain; see `show`."""
+        """Show all meshes in a terrain; see `show`.
+
+        Raises:
+            GeometryError: see `PendingMeshes.check`. Nothing has changed then.
+        """
         self._terrain = terrain
         origin, shading = terrain.origin, self._engine.settings.shading
         objects = terrain.tiles()
@@ -166,8 +170,9 @@ class TerrainChange:
         wanted = {tile_name(key) for key in update.tiles}
         materials = self._find_materials(update, shading)
         yield
+        self.check_pending()
         for name, key in new.items():
-            mesh = claim(self._meshes.names[key])
+            mesh = self._meshes.claim(key)
             if name in objects:
                 _release(objects[name].data)
                 objects[name].data = mesh

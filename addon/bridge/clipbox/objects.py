@@ -16,7 +16,7 @@ from ...core.clipbox.settings import ClipboxSettings
 from ...core.clipbox.to_mesh import ConvertedMesh
 from ...core.jobs.progress import Progress, Steps
 from ..geometry.mesh_arrays import write_uvs
-from ..geometry.mesh_pool import PendingMeshes, claim, fill_mesh, mark_spare
+from ..geometry.mesh_pool import PendingMeshes, fill_mesh, mark_spare
 from ..terrain_roots import TerrainRoot, copy_material, link_collection, remove_terrain
 from .sources import absolute_path
 
@@ -81,36 +81,36 @@ class PendingBlocks:
 
     def __init__(self, origin: np.ndarray, settings: ClipboxSettings) -> None:
         """origin: (3,) float64, terrain position that vertices are relative to."""
-        self._meshes = PendingMeshes(POOL, "Clip-Box")
+        self.meshes = PendingMeshes(POOL, "Clip-Box")
         self._origin = origin
         self._is_flat = settings.surface == "blocky" and not settings.smoothing
 
-    @property
-    def names(self) -> dict[BlockKey, str]:
-        """The mesh names by block."""
-        return self._meshes.names
-
     def fill(self, key: BlockKey, block: BlockMesh) -> None:
         """Fill a mesh with the surface of a block."""
-        self._meshes.fill(key, block.vertices - self._origin, block.triangles, None if self._is_flat else block.normals)
+        self.meshes.fill(key, block.vertices - self._origin, block.triangles, None if self._is_flat else block.normals)
 
 
-def fill_meshes(update: Update, origin: np.ndarray, settings: ClipboxSettings) -> Steps[dict[BlockKey, str]]:
-    """Fill meshes with all surfaces of an update, one per step. Returns their names by block."""
+def fill_meshes(update: Update, origin: np.ndarray, settings: ClipboxSettings) -> Steps[PendingMeshes]:
+    """Fill meshes with all surfaces of an update, one per step."""
     pending = PendingBlocks(origin, settings)
     for index, (key, block) in enumerate(update.meshes.items()):
         pending.fill(key, block)
         yield Progress((index + 1) / (len(update.meshes) + 1), "Creating meshes")
-    return pending.names
+    return pending.meshes
 
 
-def show_meshes(terrain: SceneTerrain, mesh_names: dict[BlockKey, str], update: Update, material: bpy.types.Material | None) -> None:
-    """Show pending meshes, given by name, all at once. The meshes that they replace become spare."""
+def show_meshes(terrain: SceneTerrain, pending: PendingMeshes, update: Update, material: bpy.types.Material | None) -> None:
+    """Show the pending meshes of blocks all at once. The meshes that they replace become spare.
+
+    Raises:
+        GeometryError: see `PendingMeshes.check`. Nothing has changed then.
+    """
+    pending.check()
     blocks = terrain.blocks()
-    shown = {block_name(key) for key in mesh_names}
+    shown = {block_name(key) for key in pending.names}
     removed = [name for name in blocks if name not in shown] if update.is_complete else [block_name(key) for key in update.removed]
-    for key, mesh_name in mesh_names.items():
-        mesh, name = claim(mesh_name), block_name(key)
+    for key in pending.names:
+        mesh, name = pending.claim(key), block_name(key)
         if mesh.materials:
             mesh.materials[0] = material
         else:

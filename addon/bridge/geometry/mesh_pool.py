@@ -4,7 +4,8 @@ A pool is a word. Its spare meshes are those without users whose custom property
 opened, cannot make it wrong.
 """
 
-from collections.abc import Hashable, Iterable
+from collections.abc import Hashable
+from uuid import uuid4
 
 import bpy
 import numpy as np
@@ -13,6 +14,7 @@ from ...core.errors import GeometryError
 from .mesh_arrays import write_attribute, write_corner_normals, write_triangles
 
 SPARE_KEY = "farfield_spare_mesh"  # custom property of meshes that are not shown
+PENDING_KEY = "farfield_pending_mesh"  # custom property of meshes that are filled: who has filled them
 MAX_SPARE = 64  # meshes per pool by default
 MAX_REMOVED = 64  # spare meshes that are removed at the start of a change, about 2 ms
 
@@ -26,7 +28,7 @@ class PendingMeshes:
     def __init__(self, pool: str, mesh_name: str, max_spare: int = MAX_SPARE) -> None:
         """mesh_name: name of new meshes. max_spare: spare meshes that are kept."""
         self.names: dict[Hashable, str] = {}
-        self._pool, self._mesh_name = pool, mesh_name
+        self._pool, self._mesh_name, self._identity = pool, mesh_name, uuid4().hex
         spare = spare_meshes(pool)
         if len(spare) > max_spare:
             bpy.data.batch_remove(spare[max_spare:][:MAX_REMOVED])
@@ -37,13 +39,29 @@ class PendingMeshes:
         mesh = bpy.data.meshes.get((self._spare.pop(), None)) if self._spare else None
         if mesh is None or mesh.users:  # removed or used meanwhile, or there was none
             mesh = bpy.data.meshes.new(self._mesh_name)
-        mesh[SPARE_KEY] = self._pool
+        mesh[SPARE_KEY], mesh[PENDING_KEY] = self._pool, self._identity
         self.names[key] = mesh.name
         return mesh
 
     def fill(self, key: Hashable, vertices: np.ndarray, triangles: np.ndarray, normals: np.ndarray | None = None) -> None:
         """Fill the mesh of `key`; see `fill_mesh`."""
         fill_mesh(self.take(key), vertices, triangles, normals)
+
+    def check(self) -> None:
+        """Check that all meshes are as they were filled, before anything is changed.
+
+        Raises:
+            GeometryError: one of them was removed, is used, or has the content of another time, as after undo.
+        """
+        meshes = [bpy.data.meshes.get((name, None)) for name in self.names.values()]
+        if not all(mesh and not mesh.users and mesh.get(PENDING_KEY) == self._identity for mesh in meshes):
+            raise GeometryError("Undo has removed meshes of this command before they were shown. Run it again.")
+
+    def claim(self, key: Hashable) -> bpy.types.Mesh:
+        """Return the mesh of `key`, which is no longer spare, to be shown. See `check`."""
+        mesh = bpy.data.meshes[self.names[key], None]
+        del mesh[SPARE_KEY], mesh[PENDING_KEY]
+        return mesh
 
 
 def fill_mesh(
@@ -81,23 +99,6 @@ def fill_mesh(
 def _write_faces(mesh: bpy.types.Mesh, name: str, data_type: str, values: np.ndarray) -> None:
     """Create an attribute with one value per face; `values` (T,) has the type that Blender stores."""
     mesh.attributes.new(name, data_type, "FACE").data.foreach_set("value", values)
-
-
-def check_pending(names: Iterable[str]) -> None:
-    """Check that pending meshes, given by name, can be shown, before anything else is created.
-
-    Raises:
-        GeometryError: one of them was removed, as undo does.
-    """
-    if not all(bpy.data.meshes.get((name, None)) for name in names):
-        raise GeometryError("Undo has removed meshes of this command before they were shown. Run it again.")
-
-
-def claim(name: str) -> bpy.types.Mesh:
-    """Return a pending mesh, which is no longer spare, to be shown."""
-    mesh = bpy.data.meshes[name, None]
-    del mesh[SPARE_KEY]
-    return mesh
 
 
 def mark_spare(mesh: bpy.types.Mesh, pool: str) -> None:

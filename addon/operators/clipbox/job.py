@@ -11,7 +11,6 @@ from ...bridge.clipbox import sources
 from ...bridge.clipbox.materials import GroundImage, create_terrain_material
 from ...bridge.clipbox.objects import SceneTerrain
 from ...bridge.clipbox.sources import absolute_path
-from ...bridge.geometry.mesh_pool import check_pending
 from ...bridge.imaging.image_files import check_openexr
 from ...core.clipbox.engine import NO_SURFACE, TerrainEngine, Update, check_viewer
 from ...core.clipbox.files.readers import BLEND_PREFIX, check_path
@@ -60,9 +59,9 @@ class TerrainJob:
         if not core_result.meshes:
             raise GeometryError(NO_SURFACE)
         origin = self.terrain.origin if self.terrain is not None else choose_terrain_origin(self.viewer, settings)
-        mesh_names = yield from subprogress(terrain_objects.fill_meshes(core_result, origin, settings), 0.0, 0.99)
+        pending = yield from subprogress(terrain_objects.fill_meshes(core_result, origin, settings), 0.0, 0.99)
         yield Progress(0.99, "Showing meshes")
-        check_pending(mesh_names.values())
+        pending.check()
         ground_image = find_ground_image(settings, origin)
         if self.terrain is None:
             self.terrain = terrain_objects.create_root(bpy.context.scene, settings, self.viewer, origin)
@@ -73,7 +72,7 @@ class TerrainJob:
         material = self.terrain.material or create_terrain_material(
             self.terrain.name, self.terrain.root, *height_range(core_result, origin), ground_image, is_forest=settings.terrain == "forest"
         )
-        terrain_objects.show_meshes(self.terrain, mesh_names, core_result, material)
+        terrain_objects.show_meshes(self.terrain, pending, core_result, material)
         cache.store(self.terrain, self.engine)
         self.update = core_result
         triangles = sum(len(mesh.triangles) for mesh in core_result.meshes.values())

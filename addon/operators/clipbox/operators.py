@@ -82,7 +82,7 @@ class TerrainChange:
 
     def show(self, update: Update) -> tuple[()]:
         """Show all meshes."""
-        terrain_objects.show_meshes(self._terrain, self._pending.names, update, self._terrain.material)
+        terrain_objects.show_meshes(self._terrain, self._pending.meshes, update, self._terrain.material)
         return ()
 
 
