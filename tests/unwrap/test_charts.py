@@ -152,3 +152,14 @@ def test_polygons_are_never_cut():
             shared = set(edges.face_edges[cut.triangle_indices[first]]) & set(edges.face_edges[cut.triangle_indices[second]])
             if shared:
                 assert len(set(cut.chart.triangles[first]) & set(cut.chart.triangles[second])) == 2
+
+
+def test_a_sliver_between_doubled_vertices_does_not_become_a_triangle_with_two_corners():
+    """Its two vertices are at the same position, and the triangles around it are connected across doubled vertices."""
+    b = [0.0, 0.0, 0.0]
+    vertices = np.array([b, b, [1.0, 0, 0], [0, 1.0, 0], [-1.0, 0, 0], [-1.0, 0, 0], [0, -1.0, 0]])
+    triangles = np.array([[2, 0, 1], [0, 2, 3], [0, 3, 4], [1, 5, 6], [1, 6, 2]], np.int32)
+    charts = run_to_end(cut_into_charts(Chart(vertices, triangles, np.ones(5)), NO_SEAMS))
+    assert sorted(np.concatenate([cut.triangle_indices for cut in charts])) == list(range(5))
+    for cut in charts:
+        assert (np.sort(cut.chart.triangles, axis=1)[:, 1:] != np.sort(cut.chart.triangles, axis=1)[:, :-1]).all()

@@ -30,10 +30,9 @@ def split_into_components(chart: Chart, halfedges: np.ndarray) -> list[tuple[Cha
     Returns:
         the connected components, each a manifold with its own vertices, and the indices of their triangles.
     """
-    vertex_indices = _split_vertices(chart.triangles, halfedges)
+    vertex_indices = split_vertices(chart.triangles, halfedges)
     count = len(chart.triangles)
-    first, second = halfedges.T // 3
-    total, label = connected_components(coo_array((np.ones(len(halfedges), bool), (first, second)), shape=(count, count)), directed=False)
+    total, label = label_components(count, halfedges)
     components = []
     for members in np.split(np.argsort(label, kind="stable"), np.cumsum(np.bincount(label, minlength=total))[:-1]):
         _, corners, indices = np.unique(vertex_indices[members], return_index=True, return_inverse=True)
@@ -43,7 +42,13 @@ def split_into_components(chart: Chart, halfedges: np.ndarray) -> list[tuple[Cha
     return components
 
 
-def _split_vertices(triangles: np.ndarray, halfedges: np.ndarray) -> np.ndarray:
+def label_components(count: int, halfedges: np.ndarray) -> tuple[int, np.ndarray]:
+    """Return the number of components of `count` triangles that are connected across `halfedges` (I, 2), and the one of each triangle."""
+    links = coo_array((np.ones(len(halfedges), bool), tuple(halfedges.T // 3)), shape=(count, count))
+    return connected_components(links, directed=False)
+
+
+def split_vertices(triangles: np.ndarray, halfedges: np.ndarray) -> np.ndarray:
     """Return new vertex indices (T, 3), equal only for corners that are connected across `halfedges` (I, 2)."""
     first, second = (3 * (side // 3) for side in halfedges.T)
     pairs = [(first + (halfedges[:, 0] % 3 + offset) % 3, second + (halfedges[:, 1] % 3 + 3 - offset) % 3) for offset in (1, 2)]

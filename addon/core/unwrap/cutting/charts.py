@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 from ...geometry.edges import find_edges
 from ...geometry.proximity import encode_pairs
 from ...jobs.progress import Progress, Steps, subprogress
-from .chart import Chart, split_into_components
+from .chart import Chart, split_into_components, split_vertices
 from .cuts import cut_to_disk_edges
 from .welding import pair_doubled_edges
 
@@ -63,8 +63,14 @@ def connect_triangles(surface: Chart, seams: np.ndarray) -> Steps[tuple[np.ndarr
     doubled = pair_doubled_edges(surface.vertices, triangles, edges)
     yield progress
     is_seam = np.isin(edges.keys, encode_pairs(*np.reshape(seams, (-1, 2)).T, edges.vertex_count))[edges.face_edges]
-    halfedges = np.concatenate([interior[_consistently_oriented(triangles, interior)], doubled])
-    return halfedges[~is_seam.ravel()[halfedges].any(axis=1)], is_seam.any(axis=1)
+    oriented = interior[_consistently_oriented(triangles, interior)]
+    halfedges, is_doubled = np.concatenate([oriented, doubled]), np.arange(len(oriented) + len(doubled)) >= len(oriented)
+    is_kept = ~is_seam.ravel()[halfedges].any(axis=1)
+    for is_droppable in (is_doubled, np.ones(len(halfedges), bool)) if len(doubled) else ():
+        corners = split_vertices(triangles, halfedges[is_kept])
+        is_collapsed = (corners == np.roll(corners, 1, axis=1)).any(axis=1)  # Two vertices at the same position became one.
+        is_kept &= ~(is_droppable & is_collapsed[halfedges // 3].any(axis=1))
+    return halfedges[is_kept], is_seam.any(axis=1)
 
 
 def cut_further(cut: CutChart) -> Steps[list[CutChart]]:
