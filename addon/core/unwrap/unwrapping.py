@@ -12,10 +12,10 @@ from ..jobs.progress import Progress, Steps, subprogress
 from .arrangement import merge_and_pack, pack, pack_upright
 from .cutting.atlas_seams import find_atlas_seams
 from .cutting.bisection import bisect_further
-from .cutting.chart import Chart
+from .cutting.chart import Chart, label_components
 from .cutting.charts import MAX_EXCESS, CutChart, connect_triangles, cut_further, cut_into_charts
 from .cutting.cuts import POOR_EXCESS
-from .cutting.regions import divide_at_creases, label_components
+from .cutting.regions import divide_at_creases
 from .distortion import DistortionMetrics, Stretches, compute_stretches, measure_distortion
 from .parameterization.developable import unfold_developable
 from .parameterization.mild import flatten_mild

@@ -4,8 +4,6 @@ Bevels and fillets belong to the flat region next to them where that distorts th
 """
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from ...arrays import TINY
 from ...geometry.edges import halfedge_ends
@@ -13,8 +11,9 @@ from ...geometry.mesh import face_areas_and_normals, scaled_normals
 from ...geometry.transforms import frame_from_normal, normalize
 from ...jobs.progress import Progress, Steps
 from ..energies.boundary_barrier import self_intersects
+from .bevels import divide_at_bevels
 from .boundaries import boundary_edges
-from .chart import Chart, split_into_components
+from .chart import Chart, label_components, split_into_components
 from .charts import MAX_EXCESS, CutChart, cut_to_disks
 from .creases import find_creases
 
@@ -49,6 +48,8 @@ def divide_at_creases(
         creases &= surface.polygon_ids[halfedges[:, 0] // 3] != surface.polygon_ids[halfedges[:, 1] // 3]
     yield Progress(0.0, "Finding creases")
     regions = _absorb_bevels(surface, halfedges, creases)
+    faces = divide_at_bevels(vertices, triangles, halfedges, creases, component)
+    regions = np.where(faces >= 0, regions.max() + 1 + faces, regions)
     yield Progress(0.0, "Finding creases")
     areas, sides = face_areas_and_normals(vertices[triangles])[0], regions[halfedges // 3]
     component_areas, is_border = np.bincount(component, areas, total), sides[:, 0] != sides[:, 1]
@@ -82,12 +83,6 @@ def _is_uniform(density: np.ndarray, areas: np.ndarray) -> bool:
     mean = areas @ density / max(float(areas.sum()), TINY)
     is_other = (density > MAX_DENSITY_RATIO * mean) | (density * MAX_DENSITY_RATIO < mean)
     return bool(areas[is_other].sum() <= MAX_OTHER_AREA * areas.sum())
-
-
-def label_components(count: int, halfedges: np.ndarray) -> tuple[int, np.ndarray]:
-    """Return the number of components of `count` triangles that are connected across `halfedges` (I, 2), and the one of each triangle."""
-    links = coo_array((np.ones(len(halfedges), bool), tuple(halfedges.T // 3)), shape=(count, count))
-    return connected_components(links, directed=False)
 
 
 def _absorb_bevels(surface: Chart, halfedges: np.ndarray, creases: np.ndarray) -> np.ndarray:
