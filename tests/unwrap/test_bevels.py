@@ -7,6 +7,7 @@ from farfield.addon.core.geometry.edges import find_edges
 from farfield.addon.core.geometry.mesh import TriangleMesh, face_areas_and_normals
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.unwrap.cutting.bevels import divide_at_bevels
+from farfield.addon.core.unwrap.cutting.chart import Chart
 from farfield.addon.core.unwrap.cutting.creases import find_creases
 from farfield.addon.core.unwrap.settings import UnwrapSettings
 from farfield.addon.core.unwrap.unwrapping import UnwrapResult, unwrap
@@ -45,7 +46,9 @@ def round_box(segments: int, radius: float = 0.05, sides: tuple = SIDES) -> Tria
 def label_faces(mesh: TriangleMesh) -> np.ndarray:
     halfedges = find_edges(mesh.triangles).interior_halfedges
     creases = find_creases(mesh.vertices, mesh.triangles, halfedges)
-    return divide_at_bevels(mesh.vertices, mesh.triangles, halfedges, creases, np.zeros(len(mesh.triangles), int))
+    whole = np.zeros(len(mesh.triangles), int)
+    surface = Chart(mesh.vertices, mesh.triangles, np.ones(len(whole)), np.arange(len(whole)) // 2)
+    return divide_at_bevels(surface, halfedges, creases, whole, whole)
 
 
 def unwrap_mesh(mesh: TriangleMesh) -> UnwrapResult:
@@ -53,6 +56,9 @@ def unwrap_mesh(mesh: TriangleMesh) -> UnwrapResult:
     polygon_ids = np.arange(count) // 2
     result = run_to_end(unwrap(mesh, polygon_ids, np.zeros((0, 2), int), np.zeros(count), UnwrapSettings()))
     assert result.metrics.flips == result.metrics.overlaps == 0
+    is_common = mesh.triangles[::2, :, None] == mesh.triangles[1::2, None]  # Two corners of both triangles of each quad.
+    quad, first, second = np.nonzero(is_common)
+    np.testing.assert_allclose(result.corner_uvs[2 * quad, first], result.corner_uvs[2 * quad + 1, second], atol=1e-9)
     return result
 
 
@@ -83,4 +89,4 @@ def test_faces_with_rounded_edges_stay_rectangles(segments):
 )
 def test_bodies_without_bevels_are_not_divided(mesh):
     points, indices = np.unique(np.round(mesh.vertices, 9), axis=0, return_inverse=True)
-    assert (label_faces(TriangleMesh(points, indices.reshape(-1)[mesh.triangles].astype(np.int32))) == -1).all()
+    assert (label_faces(TriangleMesh(points, indices.reshape(-1)[mesh.triangles].astype(np.int32))) == 0).all()

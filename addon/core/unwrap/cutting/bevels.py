@@ -10,65 +10,101 @@ from scipy.sparse.csgraph import dijkstra
 from ...arrays import TINY
 from ...geometry.edges import halfedge_ends
 from ...geometry.mesh import face_areas_and_normals
-from .chart import label_components, split_vertices
+from .chart import Chart, label_components, split_vertices
 from .creases import fold_angles
 
 COPLANAR_FOLD = np.radians(1.0)  # Triangles with a smaller fold between them are one facet.
 MAX_BEVEL_FOLD = np.radians(50.0)  # Larger folds belong to no band.
-MIN_CURVATURE = 10.0  # Mean curvature of a band, twice the usual one, times the square root of the area of the connected part.
+MIN_CURVATURE = 14.0  # Of a band, times the square root of the area of the connected part.
 MIN_FACE_AREA = 0.01  # As a fraction of the area of the connected part.
-MAX_FACE_CURVATURE = 0.5  # Integral of the absolute Gaussian curvature inside a face that counts as developable, in radians.
-MIN_FACES_AREA = 0.5  # Of all developable faces of a part, as a fraction of its area: other parts are too curved to be divided here.
+MAX_FACE_CURVATURE = 0.1  # Integral of the absolute Gaussian curvature inside a face that counts as developable, in radians.
+MIN_FACES_AREA = 0.6  # Of all developable faces of a region, as a fraction of its area: other regions are too curved to be divided here,
+MIN_CLEAR_AREA = 0.98  # and so are those where these faces and bands cover less,
+MIN_BEND = 1.2  # Radians as above in a region that is divided; a corner of a box has 1.6, a bent sheet 0.
+MIN_CONTRAST = 3.0  # or the mean curvature of bands is not so many times larger than that of the rest.
 PREFERENCE = 0.03  # Turn in radians by which the largest face gets more of a band, so that the middle of it goes to one side all along.
+MAX_TURN = np.radians(100.0)  # From a face into a bevel: to its middle, and from there to that of a corner.
 MIN_COMMON_BORDER = 0.2  # Of a facet with the one from which its band is reached, as a fraction of its perimeter.
 
 
-def divide_at_bevels(
-    vertices: np.ndarray, triangles: np.ndarray, halfedges: np.ndarray, creases: np.ndarray, component: np.ndarray
-) -> np.ndarray:
-    """Return the face (T,) of each triangle in connected parts with bevels, with the half of each bevel next to it; -1 in other parts.
+def divide_at_bevels(surface: Chart, halfedges: np.ndarray, creases: np.ndarray, component: np.ndarray, regions: np.ndarray) -> np.ndarray:
+    """Return the region (T,) of each triangle after dividing regions in the middle of bevels, and bevels that are regions among others.
 
     Args:
-        vertices: (V, 3). triangles: (T, 3).
+        surface: T triangles, whose polygons are not divided.
         halfedges: (I, 2), 3 t + c, pairs across which triangles are connected.
         creases: (I,) bool, which of them are sharp edges.
         component: (T,) the connected part.
+        regions: (T,) before.
     """
+    vertices, triangles = surface.vertices, surface.triangles
     count, pairs = len(triangles), halfedges // 3
     folds, areas = fold_angles(vertices, triangles, halfedges), face_areas_and_normals(vertices[triangles])[0]
     lengths = np.linalg.norm(np.subtract(*vertices[halfedge_ends(triangles, halfedges[:, 0])].transpose(1, 0, 2)), axis=1)
     part_areas = np.bincount(component, areas)
-    total, facets = label_components(count, halfedges[folds < COPLANAR_FOLD])
-    facet_areas = np.bincount(facets, areas, total)
+    is_flat = folds < COPLANAR_FOLD
+    if surface.polygon_ids is not None:
+        is_flat |= surface.polygon_ids[pairs[:, 0]] == surface.polygon_ids[pairs[:, 1]]
+    total, facets = label_components(count, halfedges[is_flat])
     is_side = facets[pairs[:, 0]] != facets[pairs[:, 1]]
-    sides, folds, lengths = facets[pairs[is_side]], folds[is_side], lengths[is_side]
-    turns = np.where(folds < MAX_BEVEL_FOLD, lengths * folds, 0.0)
-    curvature = np.bincount(sides.ravel(), np.repeat(0.5 * turns, 2), total) / np.maximum(facet_areas, TINY)
-    facet_parts = np.zeros(total, np.int64)
-    facet_parts[facets] = component
-    is_band = curvature * np.sqrt(part_areas[facet_parts]) > MIN_CURVATURE
-    is_inside = ~creases & ~is_band[facets[pairs]].any(axis=1)
+    sides, side_folds, side_lengths = facets[pairs[is_side]], folds[is_side], lengths[is_side]
+    turns = np.where(side_folds < MAX_BEVEL_FOLD, side_lengths * side_folds, 0.0)
+    curvatures = np.bincount(sides.ravel(), np.repeat(0.5 * turns, 2), total) / np.maximum(np.bincount(facets, areas, total), TINY)
+    curvatures = curvatures[facets] * np.sqrt(part_areas[component])
+    is_band = curvatures > MIN_CURVATURE
+    if not is_band.any():
+        return regions
+    is_inside = ~creases & ~is_band[pairs].any(axis=1)
     face_count, faces = label_components(count, halfedges[is_inside])
-    face_areas, face_parts = np.bincount(faces, areas, face_count), np.zeros(face_count, np.int64)
-    face_parts[faces] = component
-    is_face = face_areas > MIN_FACE_AREA * part_areas[face_parts]
-    is_face[faces[is_band[facets]]] = False
-    is_good = is_face & (_integrate_curvature(vertices, triangles, halfedges[is_inside], faces, face_count) < MAX_FACE_CURVATURE)
-    good_areas = np.bincount(face_parts, face_areas * is_good, len(part_areas))
-    has_bands = np.bincount(component, is_band[facets], len(part_areas)) > 0
-    is_beveled = has_bands & (good_areas > MIN_FACES_AREA * part_areas) & (np.bincount(face_parts, is_face, len(part_areas)) > 1)
-    if not is_beveled.any():
-        return np.full(count, -1)
-    facet_faces = np.zeros(total, np.int64)
-    facet_faces[facets] = faces  # A facet of a face is inside of it.
-    ranks = np.empty(face_count)
+    face_areas = np.bincount(faces, areas, face_count)
+    bends = _integrate_curvature(vertices, triangles, halfedges[is_inside], faces, face_count)
+    is_face = (face_areas[faces] > MIN_FACE_AREA * part_areas[component]) & ~is_band
+    is_good = (bends[faces] < MAX_FACE_CURVATURE) & is_face
+    facet_bands, facet_faces, ranks = np.zeros(total, bool), np.zeros(total, np.int64), np.empty(face_count)
+    facet_bands[facets], facet_faces[facets] = ~is_face, faces  # A facet of a face is inside of it.
     ranks[np.argsort(-face_areas, kind="stable")] = np.arange(face_count) / face_count
-    owners = _grow(sides, folds, lengths, is_band, PREFERENCE * ranks[facet_faces])
-    labels = np.where(owners >= 0, facet_faces[owners], face_count + np.arange(total))[facets]
-    is_left = labels >= face_count
-    _, rest = label_components(count, halfedges[~creases & is_left[pairs].all(axis=1)])
-    labels = np.where(is_left, face_count + rest, labels)
-    return np.where(is_beveled[component], labels, -1)
+    owners = _grow(sides, side_folds, side_lengths, facet_bands, PREFERENCE * ranks[facet_faces])
+    owner_faces = np.where(owners >= 0, facet_faces[owners], -1)[facets]
+    is_whole = regions[pairs[:, 0]] == regions[pairs[:, 1]]
+    region_bends = _integrate_curvature(vertices, triangles, halfedges[is_whole], regions, int(regions.max()) + 1)
+    may_divide = _may_divide(regions, faces, areas, curvatures, is_band & (owner_faces >= 0), is_good, region_bends)
+    # A bevel that is a region of its own joins the region of its face, and regions with several faces are divided.
+    face_regions = np.zeros(face_count, np.int64)
+    face_regions[faces] = np.where(may_divide[regions], regions.max() + 1 + faces, regions)
+    is_moved = (owner_faces >= 0) & may_divide[regions]
+    return np.where(is_moved, face_regions[owner_faces], regions)
+
+
+def _may_divide(
+    regions: np.ndarray,
+    faces: np.ndarray,
+    areas: np.ndarray,
+    curvatures: np.ndarray,
+    is_band: np.ndarray,
+    is_good: np.ndarray,
+    bends: np.ndarray,
+) -> np.ndarray:
+    """Return which regions (R,) bool to divide: those of bevels alone, and those of developable faces with much sharper bevels between.
+
+    regions, faces, areas, curvatures: (T,). is_band, is_good: (T,) bool, in bevels, and in large developable faces. bends: (R,) the
+    integral of the absolute Gaussian curvature.
+    """
+    count = int(regions.max()) + 1
+    region_areas = np.maximum(np.bincount(regions, areas, count), TINY)
+    bands, good = (np.bincount(regions, areas * kind, count) / region_areas for kind in (is_band, is_good))
+    face_counts = np.bincount(np.unique(np.stack([regions, faces], axis=1)[is_good], axis=0)[:, 0], minlength=count)
+    means = [
+        np.bincount(regions, areas * curvatures * kind, count) / np.maximum(np.bincount(regions, areas * kind, count), TINY)
+        for kind in (is_band, ~is_band)
+    ]
+    has_faces = (
+        (face_counts > 1)
+        & (bends > MIN_BEND)
+        & (good > MIN_FACES_AREA)
+        & (bands + good > MIN_CLEAR_AREA)
+        & (means[0] > MIN_CONTRAST * means[1])
+    )
+    return has_faces | (bands > MIN_CLEAR_AREA)
 
 
 def _grow(sides: np.ndarray, folds: np.ndarray, lengths: np.ndarray, is_band: np.ndarray, handicaps: np.ndarray) -> np.ndarray:
@@ -86,7 +122,7 @@ def _grow(sides: np.ndarray, folds: np.ndarray, lengths: np.ndarray, is_band: np
     is_used = is_band[ends] & (borders > MIN_COMMON_BORDER * perimeters[ends]) & (turns < MAX_BEVEL_FOLD)
     costs = np.where(is_band[starts], turns, turns + handicaps[starts])[is_used] + TINY
     graph = coo_array((costs, (starts[is_used], ends[is_used])), shape=(total, total)).tocsr()
-    distances, _, owners = dijkstra(graph, indices=np.flatnonzero(~is_band), return_predecessors=True, min_only=True)
+    distances, _, owners = dijkstra(graph, indices=np.flatnonzero(~is_band), return_predecessors=True, min_only=True, limit=MAX_TURN)
     return np.where(np.isfinite(distances), owners, -1)
 
 

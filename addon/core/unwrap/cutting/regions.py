@@ -48,8 +48,7 @@ def divide_at_creases(
         creases &= surface.polygon_ids[halfedges[:, 0] // 3] != surface.polygon_ids[halfedges[:, 1] // 3]
     yield Progress(0.0, "Finding creases")
     regions = _absorb_bevels(surface, halfedges, creases)
-    faces = divide_at_bevels(vertices, triangles, halfedges, creases, component)
-    regions = np.where(faces >= 0, regions.max() + 1 + faces, regions)
+    regions = divide_at_bevels(surface, halfedges, creases, component, regions)
     yield Progress(0.0, "Finding creases")
     areas, sides = face_areas_and_normals(vertices[triangles])[0], regions[halfedges // 3]
     component_areas, is_border = np.bincount(component, areas, total), sides[:, 0] != sides[:, 1]
