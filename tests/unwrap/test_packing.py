@@ -6,7 +6,7 @@ import pytest
 from farfield.addon.core.geometry.mesh import TriangleMesh, concatenate, scaled_normals
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.unwrap.cutting.atlas_seams import find_atlas_seams
-from farfield.addon.core.unwrap.packing import pack_charts, turn_upright
+from farfield.addon.core.unwrap.packing import orient, pack_charts, turn_upright
 from farfield.addon.core.unwrap.settings import UnwrapSettings
 from farfield.addon.core.unwrap.texture import Texture
 from farfield.addon.core.unwrap.unwrapping import unwrap
@@ -164,3 +164,20 @@ def test_tiles_are_not_used_for_a_large_island_alone():
     dense = run_to_end(pack_charts([SQUARE * side for side in sides], [SQUARE_TRIANGLES] * 21, Texture(max_tiles=10, density=1e4)))
     assert packing.tile_count == dense.tile_count == 2
     assert min(packing.density, dense.density) > 0.95 * 2032.0
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3, 1.2])
+def test_a_chart_whose_boundary_is_mostly_straight_is_not_turned_for_a_slightly_smaller_box(angle):
+    """Two corners on the long sides make the bounding box smaller that is turned by a degree."""
+    bottom, top = (
+        [[0.0, 0.0], [7.8, 0.0], [8.0, -0.2], [8.2, 0.0], [10.0, 0.0]],
+        [[10.0, 3.0], [2.2, 3.0], [2.0, 3.2], [1.8, 3.0], [0.0, 3.0]],
+    )
+    outline = np.array(bottom + top)
+    faces = np.array([[0, 1, 9], [1, 3, 5], [1, 2, 3], [3, 4, 5], [1, 5, 6], [1, 6, 8], [6, 7, 8], [1, 8, 9]], np.int32)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    placed = orient(outline @ turn.T, faces)
+    edge = np.abs(placed[1] - placed[0])
+    assert edge.min() < 1e-6 * edge.max()
+    smallest = np.ptp(orient(outline @ turn.T), axis=0).prod()
+    assert 1.02 * smallest < np.ptp(placed, axis=0).prod() < 1.05 * smallest

@@ -10,6 +10,7 @@ from ..geometry.convex_hulls import convex_hull
 from ..geometry.mesh import scaled_normals
 from ..geometry.transforms import signed_areas
 from ..jobs.progress import Steps
+from .cutting.boundaries import boundary_edges
 from .raster_packing import Placement, RasterGrid, max_density, place_charts
 from .texture import Texture, tile_origins
 
@@ -22,6 +23,8 @@ MAX_TILE_FILL = 0.85  # Tiles that are filled at a given density hardly get full
 DENSITY_STEP, MAX_ATTEMPTS = 0.93, 12  # A density that does not fit is lowered by this factor so many times.
 FEWER_TILES_DENSITY = 0.97  # Charts that fill all tiles to a small part, because one of them is large, fit into fewer ones at this density.
 MIN_UPRIGHT_GRADIENT = 0.5  # Mean gradient of height in a chart, 1 where it is vertical, above which its surface has an upright position.
+MAX_STRAIGHT_BOX = 1.05  # Bounding box of a chart whose boundary runs along the axes, relative to the smallest one.
+DIRECTION_BINS = 180  # Per quarter turn.
 QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])  # Turns rows of coordinates counter-clockwise.
 
 
@@ -52,7 +55,7 @@ def pack_charts(
         may_turn: whether each chart may be rotated. None: all may.
     """
     may_turn = [True] * len(uvs) if may_turn is None else may_turn
-    oriented = [orient(uv) if turns else uv for uv, turns in zip(uvs, may_turn, strict=True)]
+    oriented = [orient(uv, faces) if turns else uv for uv, faces, turns in zip(uvs, triangles, may_turn, strict=True)]
     grid = RasterGrid.of_tile(texture.inside, texture.margin)
     is_square = texture.size[0] == texture.size[1] and texture.max_tiles == 1
     if len(oriented) > (MAX_CHARTS_AS_RASTERS if is_square else MAX_CHARTS_WITHOUT_XATLAS):
@@ -136,16 +139,40 @@ def _move(uv: np.ndarray, placement: Placement) -> np.ndarray:
     return turned - turned.min(axis=0) + placement.corner
 
 
-def orient(uv: np.ndarray) -> np.ndarray:
-    """Return `uv` (V, 2) rotated to the bounding box of minimum area, with the longer side along u."""
+def orient(uv: np.ndarray, triangles: np.ndarray | None = None) -> np.ndarray:
+    """Return `uv` (V, 2) rotated to the bounding box of minimum area, with the longer side along u.
+
+    triangles: (T, 3) of the chart. With them, the direction of most of its boundary counts where the box is hardly larger then.
+    """
     hull = convex_hull(uv)
-    edges = np.roll(hull, -1, axis=0) - hull
-    angles = np.arctan2(edges[:, 1], edges[:, 0]) % (0.5 * np.pi)
+    angles = _edge_angles(hull, np.roll(hull, -1, axis=0))[0]
+    if triangles is not None:
+        angles = np.append(angles, _main_direction(*uv[boundary_edges(triangles)].transpose(1, 0, 2)))
     rotations = np.stack([np.cos(angles), np.sin(angles), -np.sin(angles), np.cos(angles)], axis=1).reshape(-1, 2, 2)
     extents = np.ptp(rotations @ hull.T, axis=2)
-    best = int(extents.prod(axis=1).argmin())
+    boxes = extents.prod(axis=1)
+    best = int(boxes.argmin())
+    if triangles is not None and boxes[-1] <= MAX_STRAIGHT_BOX * boxes[best]:
+        best = -1
     rotated = uv @ rotations[best].T
     return rotated if extents[best, 0] >= extents[best, 1] else rotated @ QUARTER_TURN
+
+
+def _edge_angles(starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the angles (E,) of edges, modulo a quarter turn, and their lengths (E,)."""
+    edges = ends - starts
+    return np.arctan2(edges[:, 1], edges[:, 0]) % (0.5 * np.pi), np.linalg.norm(edges, axis=1)
+
+
+def _main_direction(starts: np.ndarray, ends: np.ndarray) -> float:
+    """Return the angle, modulo a quarter turn, of the edges from `starts` to `ends` (E, 2) that most of their length is close to."""
+    angles, lengths = _edge_angles(starts, ends)
+    bins = (angles / (0.5 * np.pi) * DIRECTION_BINS).astype(np.int64) % DIRECTION_BINS
+    sums = np.bincount(bins, lengths, DIRECTION_BINS)
+    best = int((sums + np.roll(sums, 1) + np.roll(sums, -1)).argmax())
+    is_near = (bins - best + 1) % DIRECTION_BINS <= 2
+    offsets = (angles - angles[is_near][lengths[is_near].argmax()] + 0.25 * np.pi) % (0.5 * np.pi) - 0.25 * np.pi
+    return float(angles[is_near][lengths[is_near].argmax()] + np.average(offsets[is_near], weights=lengths[is_near]))
 
 
 def _pack_with_xatlas(uvs: list[np.ndarray], triangles: Sequence[np.ndarray], margin: float) -> list[np.ndarray]:

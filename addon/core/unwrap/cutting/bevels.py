@@ -21,6 +21,7 @@ MAX_FACE_CURVATURE = 0.1  # Integral of the absolute Gaussian curvature inside a
 MIN_FACES_AREA = 0.6  # Of all developable faces of a region, as a fraction of its area: other regions are too curved to be divided here,
 MIN_CLEAR_AREA = 0.98  # and so are those where these faces and bands cover less,
 MIN_BEND = 1.2  # Radians as above in a region that is divided; a corner of a box has 1.6, a bent sheet 0.
+MIN_STRIPS_AREA = 0.5  # Of quads among all facets of bands: through irregular triangles, a cut is ragged.
 MIN_CONTRAST = 3.0  # or the mean curvature of bands is not so many times larger than that of the rest.
 PREFERENCE = 0.03  # Turn in radians by which the largest face gets more of a band, so that the middle of it goes to one side all along.
 MAX_TURN = np.radians(100.0)  # From a face into a bevel: to its middle, and from there to that of a corner.
@@ -67,7 +68,9 @@ def divide_at_bevels(surface: Chart, halfedges: np.ndarray, creases: np.ndarray,
     owner_faces = np.where(owners >= 0, facet_faces[owners], -1)[facets]
     is_whole = regions[pairs[:, 0]] == regions[pairs[:, 1]]
     region_bends = _integrate_curvature(vertices, triangles, halfedges[is_whole], regions, int(regions.max()) + 1)
+    is_strip = (np.bincount(facets) > 1)[facets]
     may_divide = _may_divide(regions, faces, areas, curvatures, is_band & (owner_faces >= 0), is_good, region_bends)
+    may_divide &= np.bincount(regions, areas * (is_band & is_strip)) >= MIN_STRIPS_AREA * np.bincount(regions, areas * is_band)
     # A bevel that is a region of its own joins the region of its face, and regions with several faces are divided.
     face_regions = np.zeros(face_count, np.int64)
     face_regions[faces] = np.where(may_divide[regions], regions.max() + 1 + faces, regions)
