@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..geometry.mesh import TriangleMesh, face_areas_and_normals
-from .packing import orient
+from .packing import orient_smallest
 
 MAX_LENGTH = 0.8  # Of a thin piece, relative to the square root of the area of the surface.
 MAX_THINNESS = 0.25  # A piece is thin if its area is a smaller fraction of its squared length.
@@ -43,7 +43,7 @@ def divide_long_pieces(
     position, next_label = np.zeros(len(labels)), int(labels.max()) + 1
     while waiting:
         members, links = waiting.pop()
-        uv = orient(corner_uvs[members].reshape(-1, 2)).reshape(-1, 3, 2)
+        uv = orient_smallest(corner_uvs[members].reshape(-1, 2)).reshape(-1, 3, 2)
         length = float(np.ptp(uv[..., 0]))
         area, box = float(areas[members].sum()), length * float(np.ptp(uv[..., 1]))
         is_bent = length > MIN_BENT_LENGTH * side and area < MAX_BENT_FILL * box
@@ -75,7 +75,7 @@ def square_side(corner_uvs: np.ndarray, labels: np.ndarray) -> float:
     """Return the side of a square with the area of the bounding boxes of all pieces, `labels` (T,), of a map `corner_uvs` (T, 3, 2)."""
     order = np.argsort(labels, kind="stable")
     members = np.split(order, np.cumsum(np.bincount(labels))[:-1])
-    return float(np.sqrt(sum(np.ptp(orient(corner_uvs[piece].reshape(-1, 2)), axis=0).prod() for piece in members)))
+    return float(np.sqrt(sum(np.ptp(orient_smallest(corner_uvs[piece].reshape(-1, 2)), axis=0).prod() for piece in members)))
 
 
 def _is_sewn(corner_uvs: np.ndarray, halfedges: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Packs charts into the tiles of a texture without changing their relative scale."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +24,9 @@ DENSITY_STEP, MAX_ATTEMPTS = 0.93, 12  # A density that does not fit is lowered 
 FEWER_TILES_DENSITY = 0.97  # Charts that fill all tiles to a small part, because one of them is large, fit into fewer ones at this density.
 MIN_UPRIGHT_GRADIENT = 0.5  # Mean gradient of height in a chart, 1 where it is vertical, above which its surface has an upright position.
 MAX_STRAIGHT_BOX = 1.05  # Bounding box of a chart whose boundary runs along the axes, relative to the smallest one.
+MIN_STRAIGHT = 0.5  # Fraction of the boundary in its main direction, below which a chart may be turned freely.
+MAX_CHARTS_FOR_CHOICE, MIN_DENSITY_GAIN = 24, 1.01  # Up to so many charts are turned to compact boxes where that raises the density.
+COMPACT_STEPS = 90  # Angles per quarter turn.
 DIRECTION_BINS = 180  # Per quarter turn.
 QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])  # Turns rows of coordinates counter-clockwise.
 
@@ -55,13 +58,21 @@ def pack_charts(
         may_turn: whether each chart may be rotated. None: all may.
     """
     may_turn = [True] * len(uvs) if may_turn is None else may_turn
-    oriented = [orient(uv, faces) if turns else uv for uv, faces, turns in zip(uvs, triangles, may_turn, strict=True)]
     grid = RasterGrid.of_tile(texture.inside, texture.margin)
     is_square = texture.size[0] == texture.size[1] and texture.max_tiles == 1
-    if len(oriented) > (MAX_CHARTS_AS_RASTERS if is_square else MAX_CHARTS_WITHOUT_XATLAS):
+    if len(uvs) > (MAX_CHARTS_AS_RASTERS if is_square else MAX_CHARTS_WITHOUT_XATLAS):
+        oriented = [orient_smallest(uv) if turns else uv for uv, turns in zip(uvs, may_turn, strict=True)]
         return _arrange_placed(oriented, triangles, None, texture)
+    oriented = [orient(uv, faces) if turns else uv for uv, faces, turns in zip(uvs, triangles, may_turn, strict=True)]
     placed = yield from place_charts(oriented, triangles, may_turn, grid)
     packing = _arrange_placed(oriented, triangles, placed, texture)
+    is_round = [turns and _main_direction(uv, faces)[1] < MIN_STRAIGHT for uv, faces, turns in zip(uvs, triangles, may_turn, strict=True)]
+    for way in (orient_smallest, _orient_compact) if any(is_round) and len(uvs) <= MAX_CHARTS_FOR_CHOICE else ():
+        turned = [way(uv) if may_be_slanted else uv for uv, may_be_slanted in zip(oriented, is_round, strict=True)]
+        placed = yield from place_charts(turned, triangles, may_turn, grid)
+        other = _arrange_placed(turned, triangles, placed, texture)
+        if other.density > MIN_DENSITY_GAIN * packing.density:
+            packing, oriented = other, turned
     if texture.max_tiles == 1 or 0.0 < texture.density <= packing.density:
         return packing
     density = texture.density
@@ -139,23 +150,37 @@ def _move(uv: np.ndarray, placement: Placement) -> np.ndarray:
     return turned - turned.min(axis=0) + placement.corner
 
 
-def orient(uv: np.ndarray, triangles: np.ndarray | None = None) -> np.ndarray:
-    """Return `uv` (V, 2) rotated to the bounding box of minimum area, with the longer side along u.
+def orient(uv: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Return `uv` (V, 2), turned so that most of the boundary of a chart runs along the axes, if its bounding box is hardly larger than
+    the smallest one. The longer side of the box is along u. triangles: (T, 3)."""
+    smallest, (angle, straight_fraction) = orient_smallest(uv), _main_direction(uv, triangles)
+    straight = _turn(uv, np.array([angle]), np.prod)
+    boxes = [np.ptp(turned, axis=0).prod() for turned in (straight, smallest)]
+    return straight if straight_fraction >= MIN_STRAIGHT and boxes[0] <= MAX_STRAIGHT_BOX * boxes[1] else smallest
 
-    triangles: (T, 3) of the chart. With them, the direction of most of its boundary counts where the box is hardly larger then.
-    """
-    hull = convex_hull(uv)
-    angles = _edge_angles(hull, np.roll(hull, -1, axis=0))[0]
-    if triangles is not None:
-        angles = np.append(angles, _main_direction(*uv[boundary_edges(triangles)].transpose(1, 0, 2)))
+
+def orient_smallest(uv: np.ndarray) -> np.ndarray:
+    """Return `uv` (V, 2), turned to the bounding box of minimum area, with the longer side along u."""
+    return _turn(uv, _hull_angles(uv), np.prod)
+
+
+def _orient_compact(uv: np.ndarray) -> np.ndarray:
+    """Return `uv` (V, 2), turned so that the longer side of the bounding box, which is along u, is shortest."""
+    return _turn(uv, np.concatenate([_hull_angles(uv), np.linspace(0.0, 0.5 * np.pi, COMPACT_STEPS, endpoint=False)]), np.max)
+
+
+def _turn(uv: np.ndarray, angles: np.ndarray, size: Callable[..., np.ndarray]) -> np.ndarray:
+    """Return `uv` (V, 2), turned by that of `angles` (A,) with the least `size` of its extents, with the longer one along u."""
     rotations = np.stack([np.cos(angles), np.sin(angles), -np.sin(angles), np.cos(angles)], axis=1).reshape(-1, 2, 2)
-    extents = np.ptp(rotations @ hull.T, axis=2)
-    boxes = extents.prod(axis=1)
-    best = int(boxes.argmin())
-    if triangles is not None and boxes[-1] <= MAX_STRAIGHT_BOX * boxes[best]:
-        best = -1
+    extents = np.ptp(rotations @ convex_hull(uv).T, axis=2)
+    best = int(size(extents, axis=1).argmin())
     rotated = uv @ rotations[best].T
     return rotated if extents[best, 0] >= extents[best, 1] else rotated @ QUARTER_TURN
+
+
+def _hull_angles(uv: np.ndarray) -> np.ndarray:
+    hull = convex_hull(uv)
+    return _edge_angles(hull, np.roll(hull, -1, axis=0))[0]
 
 
 def _edge_angles(starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -164,15 +189,20 @@ def _edge_angles(starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.n
     return np.arctan2(edges[:, 1], edges[:, 0]) % (0.5 * np.pi), np.linalg.norm(edges, axis=1)
 
 
-def _main_direction(starts: np.ndarray, ends: np.ndarray) -> float:
-    """Return the angle, modulo a quarter turn, of the edges from `starts` to `ends` (E, 2) that most of their length is close to."""
-    angles, lengths = _edge_angles(starts, ends)
+def _main_direction(uv: np.ndarray, triangles: np.ndarray) -> tuple[float, float]:
+    """Return the angle, modulo a quarter turn, that most of the boundary of a chart is close to, and the fraction of its length that is.
+
+    uv: (V, 2). triangles: (T, 3).
+    """
+    angles, lengths = _edge_angles(*uv[boundary_edges(triangles)].transpose(1, 0, 2))
     bins = (angles / (0.5 * np.pi) * DIRECTION_BINS).astype(np.int64) % DIRECTION_BINS
     sums = np.bincount(bins, lengths, DIRECTION_BINS)
     best = int((sums + np.roll(sums, 1) + np.roll(sums, -1)).argmax())
     is_near = (bins - best + 1) % DIRECTION_BINS <= 2
-    offsets = (angles - angles[is_near][lengths[is_near].argmax()] + 0.25 * np.pi) % (0.5 * np.pi) - 0.25 * np.pi
-    return float(angles[is_near][lengths[is_near].argmax()] + np.average(offsets[is_near], weights=lengths[is_near]))
+    angles, near = angles[is_near], lengths[is_near]
+    longest, total = angles[near.argmax()], max(float(near.sum()), TINY)
+    offsets = (angles - longest + 0.25 * np.pi) % (0.5 * np.pi) - 0.25 * np.pi
+    return float(longest + offsets @ near / total), total / max(float(lengths.sum()), TINY)
 
 
 def _pack_with_xatlas(uvs: list[np.ndarray], triangles: Sequence[np.ndarray], margin: float) -> list[np.ndarray]:
