@@ -55,7 +55,12 @@ class UnwrapSettingsPanel(SettingsPanel):
         if item.name == "vertex_group" and context.active_object is not None and context.active_object.type == "MESH":
             layout.prop_search(context.scene.farfield_unwrap, item.name, context.active_object, "vertex_groups")
             return
-        super().draw_setting(layout, context, item)
+        fits = item.name == "texel_density" and context.scene.farfield_unwrap.texel_density == 0.0
+        row = layout.row()
+        row.active = not fits
+        super().draw_setting(row, context, item)
+        if fits:
+            layout.label(text="0: islands fill the texture", icon="FULLSCREEN_ENTER")
         if item.name == "direction" and self.bl_space_type == "VIEW_3D":
             layout.operator(FARFIELD_OT_unwrap_direction.bl_idname, text="From View", icon="VIEW3D")
         if item.name == "texel_density":

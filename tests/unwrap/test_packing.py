@@ -181,3 +181,12 @@ def test_a_chart_whose_boundary_is_mostly_straight_is_not_turned_for_a_slightly_
     assert edge.min() < 1e-6 * edge.max()
     smallest = np.ptp(orient_smallest(outline @ turn.T), axis=0).prod()
     assert 1.02 * smallest < np.ptp(placed, axis=0).prod() < 1.05 * smallest
+
+
+def test_an_island_that_is_a_long_strip_is_cut_across():
+    """A tube that is four times as long as its circumference fills a quarter of the texture in one piece."""
+    tube = cylinder(radius=0.5, length=4.0 * np.pi, sides=16, cuts=8)
+    count = len(tube.triangles)
+    result = run_to_end(unwrap(tube, np.arange(count), np.zeros((0, 2), np.int64), np.zeros(count), UnwrapSettings()))
+    assert result.chart_count == 2 and result.metrics.fill > 0.9
+    assert result.metrics.symmetric_dirichlet == pytest.approx(4.0, abs=1e-6) and result.metrics.overlaps == 0

@@ -1,5 +1,6 @@
 """Reads meshes for unwrapping, and writes UV maps, their stretch and their metrics into meshes."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import bpy
@@ -90,11 +91,12 @@ def read_unit_length(scene: bpy.types.Scene) -> float:
     return 1.0 if units.system == "NONE" else units.scale_length
 
 
-def measure_texel_density(mesh: bpy.types.Mesh, target: UvTarget, uv_map: str, texture: Texture, unit_length: float) -> float:
-    """Return the texels per meter, on average, of the triangles of `target` in a UV map of its mesh, which is not in Edit Mode."""
-    corner_uvs = read_uvs(mesh.uv_layers[uv_map])[target.loops].astype(np.float64)
-    area = float(face_areas_and_normals(target.mesh.corners)[0].sum())
-    return compute_texel_density(corner_uvs, area * unit_length**2, texture)
+def measure_texel_densities(
+    mesh: bpy.types.Mesh, target: UvTarget, uv_maps: Iterable[str], texture: Texture, unit_length: float
+) -> dict[str, float]:
+    """Return the texels per meter, on average, of the triangles of `target` in UV maps of its mesh, which is not in Edit Mode."""
+    area = float(face_areas_and_normals(target.mesh.corners)[0].sum()) * unit_length**2
+    return {name: compute_texel_density(read_uvs(mesh.uv_layers[name])[target.loops].astype(np.float64), area, texture) for name in uv_maps}
 
 
 def skip_reason(item: bpy.types.Object, uv_map: str) -> str:
@@ -170,7 +172,7 @@ def write_uv_map(
     polygon_stretches[target.polygon_ids[order]] = limited[order]
     attribute.data.foreach_set("value", polygon_stretches)
     texture = texture or Texture()
-    densities = {layer.name: measure_texel_density(mesh, target, layer.name, texture, unit_length) for layer in mesh.uv_layers}
+    densities = measure_texel_densities(mesh, target, mesh.uv_layers.keys(), texture, unit_length)
     mesh[METRICS_PROPERTY] = {**metrics, DENSITIES_PROPERTY: densities}
     mesh.update()
 

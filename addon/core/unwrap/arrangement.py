@@ -8,11 +8,12 @@ from ..geometry.edges import halfedge_ends
 from ..geometry.mesh import TriangleMesh, face_areas_and_normals
 from ..geometry.transforms import signed_areas
 from ..jobs.progress import Progress, Steps
+from .cutting.bisection import bisect_further
 from .cutting.chart import Chart, split_into_components
 from .cutting.charts import CutChart
 from .dividing import divide_long_pieces
 from .merging import merge_islands
-from .packing import pack_charts, turn_upright
+from .packing import orient_smallest, pack_charts, turn_upright
 from .stacking import Copies, find_copies
 from .texture import Texture
 
@@ -20,6 +21,8 @@ MAX_ISLAND_SIDES = 1.25, 0.9, 0.65  # Limits of merged islands that are tried in
 GOOD_FILL = 0.6  # until so much of the square is used. The next one must use it better by
 MIN_FILL_GAIN = 1.08  # at least this factor.
 MAX_ISLANDS_FOR_CHOICE = 40  # More islands fit in any case.
+POOR_FILL, MAX_CHARTS_TO_HALVE = 0.5, 3  # Up to so many charts that fill less are cut in halves
+MIN_HALVING_GAIN = 1.2  # where the fill is so many times as large then.
 MAX_SCALE_DIFFERENCE = 0.02  # Between pieces that are sewn together, as a fraction.
 MIN_UPRIGHT_FILL = 0.98  # Of the texture with upright islands, relative to the fill with freely turned ones.
 
@@ -116,15 +119,15 @@ def merge_and_pack(
     labels = divide_long_pieces(mesh, surface.polygon_ids, corner_uvs, labels, halfedges, scales)
     sides = labels[halfedges // 3]
     if (sides[:, 0] == sides[:, 1]).all():  # There is nothing to merge.
-        return (yield from pack(surface, charts, uvs, texture, stack))
+        packed = yield from pack(surface, charts, uvs, texture, stack)
+        return (yield from _halve_while_filled_poorly(packed, surface, texture, stack))
     lengths = np.linalg.norm(np.subtract(*mesh.vertices[halfedge_ends(mesh.triangles, halfedges[:, 0])].transpose(1, 0, 2)), axis=1)
     best, best_seam = None, np.inf
     for max_side in MAX_ISLAND_SIDES:
         placed, is_sewn = yield from merge_islands(mesh, corner_uvs, labels, halfedges, scales, max_side)
         merged, merged_uvs = [], []
         for chart, members in split_into_components(surface, halfedges[is_sewn]):
-            uv = np.stack([np.bincount(chart.triangles.ravel(), axis) for axis in placed[members].reshape(-1, 2).T], axis=1)
-            merged_uvs.append(uv / np.bincount(chart.triangles.ravel())[:, None])
+            merged_uvs.append(_average_corners(chart, placed[members]))
             merged.append(CutChart(chart, members, True))
         yield Progress(1.0, "Packing")
         packed = yield from pack(surface, merged, merged_uvs, texture, stack)
@@ -133,4 +136,31 @@ def merge_and_pack(
             best, best_seam = packed, seam
         if packed.fill > GOOD_FILL or len(merged) > MAX_ISLANDS_FOR_CHOICE or len(merged) == len(charts):
             break
+    return (yield from _halve_while_filled_poorly(best, surface, texture, stack))
+
+
+def _halve_while_filled_poorly(packed: PackedMap, surface: Chart, texture: Texture, stack: bool) -> Steps[PackedMap]:
+    """Return the map of a few charts, the longest of which are cut across where the texture is filled much better then."""
+    best, gain = packed, 1.0
+    while packed.fill < POOR_FILL and len(packed.charts) <= MAX_CHARTS_TO_HALVE:
+        index = int(np.argmax([np.ptp(orient_smallest(uv)[:, 0]) for uv in packed.uvs]))
+        cut, uv = packed.charts[index], packed.uvs[index]
+        pieces = (yield from bisect_further(cut, uv)) if cut.may_be_cut else [cut]
+        if len(pieces) == 1:
+            break
+        corner_uvs = np.empty((len(surface.triangles), 3, 2))
+        corner_uvs[cut.triangle_indices] = uv[cut.chart.triangles]
+        charts = [*packed.charts[:index], *packed.charts[index + 1 :], *pieces]
+        uvs = [*packed.uvs[:index], *packed.uvs[index + 1 :]]
+        uvs += [_average_corners(piece.chart, corner_uvs[piece.triangle_indices]) for piece in pieces]
+        packed, gain = (yield from pack(surface, charts, uvs, texture, stack)), gain * MIN_HALVING_GAIN
+        if packed.fill > gain * best.fill:
+            best, gain = packed, 1.0
     return best
+
+
+def _average_corners(chart: Chart, corner_uvs: np.ndarray) -> np.ndarray:
+    """Return the uv (V, 2) of a chart, the mean of `corner_uvs` (T, 3, 2) at each vertex."""
+    corners = chart.triangles.ravel()
+    sums = np.stack([np.bincount(corners, axis) for axis in corner_uvs.reshape(-1, 2).T], axis=1)
+    return sums / np.bincount(corners)[:, None]

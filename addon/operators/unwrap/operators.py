@@ -83,7 +83,7 @@ class FARFIELD_OT_unwrap_texel_density(bpy.types.Operator):
         item, settings = context.active_object, properties.read(UnwrapSettings, context.scene.farfield_unwrap)
         target, unit_length = uv_maps.read_uv_target(item, None), uv_maps.read_unit_length(context.scene)
         uv_map = item.data.uv_layers.active.name
-        density = uv_maps.measure_texel_density(item.data, target, uv_map, settings.texture, unit_length)
+        density = uv_maps.measure_texel_densities(item.data, target, [uv_map], settings.texture, unit_length)[uv_map]
         context.scene.farfield_unwrap.texel_density = density
         report_message(self, f'The texel density of "{uv_map}" is {density:.4g} px/m.')
         return {"FINISHED"}

@@ -12,6 +12,7 @@ from .charts import CutChart, cut_to_disks
 from .cuts import cut_cost
 
 BAND = 0.3, 0.7  # The cut lies between these fractions of the length of the map.
+CENTER_PREFERENCE = 0.5  # How much more a cut costs at an end than in the middle; of equal ones, the one in the middle is made.
 CAPACITY = 1e6  # Integer capacity of the most expensive edge that may be cut.
 
 
@@ -44,6 +45,7 @@ def _bisect(chart: Chart, edges: Edges, position: np.ndarray) -> np.ndarray:
     first, second = edges.interior_halfedges.T // 3
     lengths = np.linalg.norm(np.subtract(*chart.vertices[edges.ends[edges.interior].T]), axis=1)
     costs = lengths * cut_cost(chart, edges)[edges.interior]
+    costs *= 1.0 + CENTER_PREFERENCE * np.abs(position[first] + position[second] - 1.0)
     polygons = (
         np.arange(len(chart.triangles)) if chart.polygon_ids is None else np.unique(chart.polygon_ids, return_inverse=True)[1].ravel()
     )
