@@ -68,3 +68,27 @@ def urchin(arms: int = 24, rings: int = 40, length: float = 5.0) -> TriangleMesh
             last = new
         triangles[base] = last
     return TriangleMesh(np.concatenate(vertices), np.array(triangles, np.int32))
+
+
+def torus(around=24, across=12, handles=1):
+    """A row of tori, joined by tubes where a quad of each is removed: a surface with that many handles."""
+    vertices, triangles = [], []
+    for index in range(handles):
+        turn, tilt = np.meshgrid(2.0 * np.pi * np.arange(around) / around, 2.0 * np.pi * np.arange(across) / across, indexing="ij")
+        radius = 1.0 + 0.4 * np.cos(tilt)
+        positions = np.stack([radius * np.cos(turn) + 4.0 * index, radius * np.sin(turn), 0.4 * np.sin(tilt)], axis=-1)
+        vertices.append(positions.reshape(-1, 3))
+        ring, belt = np.meshgrid(np.arange(around), np.arange(across), indexing="ij")
+        a, b = ring * across + belt, (ring + 1) % around * across + belt
+        c, d = (ring + 1) % around * across + (belt + 1) % across, ring * across + (belt + 1) % across
+        faces = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], axis=2).reshape(-1, 2, 3)
+        triangles.append(faces + index * around * across)
+    if handles == 2:
+        first, second = triangles[0][0, 0].tolist() + [triangles[0][0, 1, 2]], triangles[1][0, 0].tolist() + [triangles[1][0, 1, 2]]
+        bridge = []
+        for side in range(4):
+            a, b = first[side], first[(side + 1) % 4]
+            c, d = second[-side % 4], second[(-side - 1) % 4]
+            bridge += [[[a, b, d], [a, d, c]]]
+        triangles = [triangles[0][1:], triangles[1][1:], np.array(bridge)]
+    return np.concatenate(vertices), np.concatenate(triangles).reshape(-1, 3).astype(np.int32)

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from charts import torus
 from farfield.addon.core.geometry.edges import find_edges
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.unwrap.cutting.boundaries import boundary_loops
+from farfield.addon.core.unwrap.cutting.boundaries import boundary_edges, boundary_loops
 from farfield.addon.core.unwrap.cutting.chart import Chart
 from farfield.addon.core.unwrap.cutting.charts import cut_into_charts
 from farfield.addon.core.unwrap.cutting.cuts import _stretch_after_cut
@@ -13,30 +14,6 @@ from shapes import cylinder, sheet, sphere
 
 NO_SEAMS = np.zeros((0, 2), int)
 TETRAHEDRON = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]), np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], np.int32)
-
-
-def torus(around=24, across=12, handles=1):
-    """A row of tori, joined by tubes where a quad of each is removed: a surface with that many handles."""
-    vertices, triangles = [], []
-    for index in range(handles):
-        turn, tilt = np.meshgrid(2.0 * np.pi * np.arange(around) / around, 2.0 * np.pi * np.arange(across) / across, indexing="ij")
-        radius = 1.0 + 0.4 * np.cos(tilt)
-        positions = np.stack([radius * np.cos(turn) + 4.0 * index, radius * np.sin(turn), 0.4 * np.sin(tilt)], axis=-1)
-        vertices.append(positions.reshape(-1, 3))
-        ring, belt = np.meshgrid(np.arange(around), np.arange(across), indexing="ij")
-        a, b = ring * across + belt, (ring + 1) % around * across + belt
-        c, d = (ring + 1) % around * across + (belt + 1) % across, ring * across + (belt + 1) % across
-        faces = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], axis=2).reshape(-1, 2, 3)
-        triangles.append(faces + index * around * across)
-    if handles == 2:
-        first, second = triangles[0][0, 0].tolist() + [triangles[0][0, 1, 2]], triangles[1][0, 0].tolist() + [triangles[1][0, 1, 2]]
-        bridge = []
-        for side in range(4):
-            a, b = first[side], first[(side + 1) % 4]
-            c, d = second[-side % 4], second[(-side - 1) % 4]
-            bridge += [[[a, b, d], [a, d, c]]]
-        triangles = [triangles[0][1:], triangles[1][1:], np.array(bridge)]
-    return np.concatenate(vertices), np.concatenate(triangles).reshape(-1, 3).astype(np.int32)
 
 
 def cut_and_check(vertices, triangles, seams=NO_SEAMS, polygon_ids=None, **options):
@@ -163,3 +140,17 @@ def test_a_sliver_between_doubled_vertices_does_not_become_a_triangle_with_two_c
     assert sorted(np.concatenate([cut.triangle_indices for cut in charts])) == list(range(5))
     for cut in charts:
         assert (np.sort(cut.chart.triangles, axis=1)[:, 1:] != np.sort(cut.chart.triangles, axis=1)[:, :-1]).all()
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_cuts_avoid_the_important_half_of_a_sphere(axis):
+    mesh = sphere(24)
+    points, indices = np.unique(np.round(mesh.vertices, 9), axis=0, return_inverse=True)
+    triangles = indices.reshape(-1)[mesh.triangles].astype(np.int32)
+    is_important = points[triangles].mean(axis=1)[:, axis] > 0.0
+    charts = run_to_end(cut_into_charts(Chart(points, triangles, np.where(is_important, 4.0, 1.0)), NO_SEAMS))
+    edges = [cut.chart.vertices[boundary_edges(cut.chart.triangles)] for cut in charts]
+    middles = np.concatenate(edges).mean(axis=1)[:, axis]
+    lengths = np.linalg.norm(np.subtract(*np.concatenate(edges).transpose(1, 0, 2)), axis=1)
+    assert lengths.sum() > 2.0
+    assert lengths[middles > 0.1].sum() < 0.05 * lengths.sum()

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from charts import torus
 from farfield.addon.core.geometry.mesh import TriangleMesh, concatenate, scaled_normals
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.unwrap.cutting.atlas_seams import find_atlas_seams
@@ -183,10 +184,20 @@ def test_a_chart_whose_boundary_is_mostly_straight_is_not_turned_for_a_slightly_
     assert 1.02 * smallest < np.ptp(placed, axis=0).prod() < 1.05 * smallest
 
 
-def test_an_island_that_is_a_long_strip_is_cut_across():
-    """A tube that is four times as long as its circumference fills a quarter of the texture in one piece."""
-    tube = cylinder(radius=0.5, length=4.0 * np.pi, sides=16, cuts=8)
-    count = len(tube.triangles)
-    result = run_to_end(unwrap(tube, np.arange(count), np.zeros((0, 2), np.int64), np.zeros(count), UnwrapSettings()))
+def unwrap_uniformly(mesh):
+    count = len(mesh.triangles)
+    result = run_to_end(unwrap(mesh, np.arange(count), np.zeros((0, 2), np.int64), np.zeros(count), UnwrapSettings()))
+    assert result.metrics.flips == result.metrics.overlaps == 0
+    return result
+
+
+def test_a_long_strip_is_cut_in_the_middle():
+    result = unwrap_uniformly(cylinder(radius=0.5, length=4.0 * np.pi, sides=16, cuts=8))
     assert result.chart_count == 2 and result.metrics.fill > 0.9
-    assert result.metrics.symmetric_dirichlet == pytest.approx(4.0, abs=1e-6) and result.metrics.overlaps == 0
+    assert result.metrics.symmetric_dirichlet == pytest.approx(4.0, abs=1e-6)
+
+
+def test_an_island_that_fills_little_of_the_texture_is_cut_across():
+    """In one piece the map of a torus is a strip that fills 0.28 of the texture."""
+    result = unwrap_uniformly(TriangleMesh(*torus(48, 24)))
+    assert result.chart_count == 2 and result.metrics.fill > 0.55

@@ -9,6 +9,7 @@ MAX_LENGTH = 0.8  # Of a thin piece, relative to the square root of the area of 
 MAX_THINNESS = 0.25  # A piece is thin if its area is a smaller fraction of its squared length.
 MIN_BENT_LENGTH, MAX_BENT_FILL = 0.3, 0.25  # Shorter ones are cut, too, if they fill a smaller fraction of their bounding boxes.
 MAX_COST = 1.5  # A cut may be so many times as long as the shortest one, if the bounding boxes are smaller then.
+CENTER_PREFERENCE = 0.1  # How much larger the boxes count of a cut at an end than of one in the middle.
 SEWN_TOLERANCE = 1e-7  # Distance of corners at the same position, relative to the extent.
 INSIDE_POLYGON = 1e6  # Length of edges inside a polygon, relative to the maximum length of a piece.
 MARGIN = 0.3  # A piece is not cut closer to its ends than this fraction of its length.
@@ -61,7 +62,7 @@ def divide_long_pieces(
         if costs.min() >= 0.5 * INSIDE_POLYGON * max_length:
             continue
         is_cheap = costs <= MAX_COST * costs.min()
-        boxes = _split_boxes(uv, position[members], candidates)
+        boxes = _split_boxes(uv, position[members], candidates) * (1.0 + CENTER_PREFERENCE * np.abs(candidates - 0.5))
         is_second = position[members] >= candidates[int(np.where(is_cheap, boxes, np.inf).argmin())]
         labels[members[is_second]] = next_label
         next_label += 1

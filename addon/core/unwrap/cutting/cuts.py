@@ -24,6 +24,7 @@ from .boundaries import boundary_loops
 from .chart import Chart, split_into_components
 
 CREASE_DISCOUNT = 0.8  # A cut along an edge that is folded by 180 degrees saves this fraction of its cost.
+DENSITY_POWER = 2.0  # Of the density in the cost of a cut, so that cuts avoid what cameras see even where that is a detour.
 BOUNDARY_COST = 100.0  # Cost factor of edges at the boundary when handles are cut, so that the rest stays connected.
 INSIDE_POLYGON_COST = 1e6  # Cost factor of edges inside a polygon.
 MAX_FILLED_HOLE = 0.01  # A hole that encloses a larger fraction of the area, as a circle, is connected to the boundary instead of filled.
@@ -77,6 +78,7 @@ class _ShortestPaths:
         self._lengths = np.linalg.norm(np.subtract(*chart.vertices[edges.ends.T]), axis=1)
         self._lengths = np.maximum(self._lengths, 1e-6 * self._lengths.mean() or 1.0)
         self._costs = self._lengths * cut_cost(chart, edges)
+        self._densities = _average_at_vertices(chart)
 
     def paths_to(self, start: np.ndarray, endpoints: Sequence[int]) -> np.ndarray:
         """Return paths from the vertices `start` (S,) to each of `endpoints` in order; a path may branch off from earlier ones."""
@@ -100,11 +102,12 @@ class _ShortestPaths:
         return cut & (self._edges.face_counts == 2)
 
     def farthest_pair(self) -> np.ndarray:
-        """Return two vertices (2,) that are approximately the farthest from each other."""
+        """Return two vertices (2,) of low density that are approximately the farthest from each other."""
         graph = self._graph(self._lengths)
         first, second = 0, 0
         for _ in range(3):
-            first, second = second, int(np.argmax(dijkstra(graph, directed=False, indices=second)))
+            distances = dijkstra(graph, directed=False, indices=second)
+            first, second = second, int(np.argmax(distances / self._densities))
         return np.array([first, second])
 
     def distances(self, start: np.ndarray) -> np.ndarray:
@@ -199,10 +202,16 @@ def cut_cost(chart: Chart, edges: Edges) -> np.ndarray:
     interior, (first, second) = edges.interior, edges.interior_halfedges.T // 3
     costs = np.ones(len(edges.ends))
     costs[interior] = 1.0 - CREASE_DISCOUNT * 0.5 * (1.0 - np.einsum("ei,ei->e", normals[first], normals[second]))
-    costs[interior] *= np.sqrt(chart.density[first] * chart.density[second])
+    costs[interior] *= (chart.density[first] * chart.density[second]) ** (0.5 * DENSITY_POWER)
     if chart.polygon_ids is not None:
         costs[interior[chart.polygon_ids[first] == chart.polygon_ids[second]]] *= INSIDE_POLYGON_COST
     return costs
+
+
+def _average_at_vertices(chart: Chart) -> np.ndarray:
+    """Return the geometric mean (V,) of the densities of the triangles at each vertex."""
+    corners = chart.triangles.ravel()
+    return np.exp(np.bincount(corners, np.repeat(np.log(chart.density), 3)) / np.bincount(corners))
 
 
 def _find_endpoints(chart: Chart, start: np.ndarray, required: int) -> Steps[list[int]]:
@@ -218,8 +227,8 @@ def _find_endpoints(chart: Chart, start: np.ndarray, required: int) -> Steps[lis
     proxy, used = _build_proxy(chart, coarse)
     edges = find_edges(proxy.triangles, len(used))
     paths = _ShortestPaths(proxy, edges)
-    start = np.searchsorted(used, start)
-    endpoints, useful_count, best = [int(paths.distances(start).argmax())] * required, required, np.inf
+    start, densities = np.searchsorted(used, start), _average_at_vertices(proxy)
+    endpoints, useful_count, best = [int((paths.distances(start) / densities).argmax())] * required, required, np.inf
     cut, max_count = paths.paths_to(start, endpoints), MAX_ENDPOINTS_WHILE_POOR
     while len(endpoints) <= max_count:
         yield Progress(0.5 + 0.5 * len(endpoints) / (max_count + 1), "Finding cuts")
@@ -231,7 +240,7 @@ def _find_endpoints(chart: Chart, start: np.ndarray, required: int) -> Steps[lis
         useful_count, best = len(endpoints), excess
         for _ in range(1 if best < POOR_EXCESS else 1 + len(endpoints) // 2):
             distances = paths.distances(np.union1d(start, edges.ends[cut]))
-            endpoints.append(int(((np.sqrt(stretch) if best < POOR_EXCESS else 1.0) * distances).argmax()))
+            endpoints.append(int(((np.sqrt(stretch) if best < POOR_EXCESS else 1.0) * distances / densities).argmax()))
             cut = paths.extend(cut, start, endpoints[-1])
     return used[endpoints[: useful_count if best < POOR_EXCESS else required]].tolist()
 
@@ -260,6 +269,6 @@ def _stretch_after_cut(proxy: Chart, edges: Edges, cut: np.ndarray) -> tuple[flo
 def _build_proxy(chart: Chart, triangles: np.ndarray) -> tuple[Chart, np.ndarray]:
     """Return the chart of `triangles` between some of its vertices, and the indices of these vertices."""
     used, indices = np.unique(triangles, return_inverse=True)
-    log_density = np.bincount(chart.triangles.ravel(), np.repeat(np.log(chart.density), 3)) / np.bincount(chart.triangles.ravel())
+    log_density = np.log(_average_at_vertices(chart))
     proxy = Chart(chart.vertices[used], indices.reshape(-1, 3).astype(np.int32), np.exp(log_density[triangles].mean(axis=1)))
     return proxy, used
