@@ -70,13 +70,13 @@ def urchin(arms: int = 24, rings: int = 40, length: float = 5.0) -> TriangleMesh
     return TriangleMesh(np.concatenate(vertices), np.array(triangles, np.int32))
 
 
-def torus(around=24, across=12, handles=1):
+def torus(around=24, across=12, handles=1, tube_radius=0.4):
     """A row of tori, joined by tubes where a quad of each is removed: a surface with that many handles."""
     vertices, triangles = [], []
     for index in range(handles):
         turn, tilt = np.meshgrid(2.0 * np.pi * np.arange(around) / around, 2.0 * np.pi * np.arange(across) / across, indexing="ij")
-        radius = 1.0 + 0.4 * np.cos(tilt)
-        positions = np.stack([radius * np.cos(turn) + 4.0 * index, radius * np.sin(turn), 0.4 * np.sin(tilt)], axis=-1)
+        radius = 1.0 + tube_radius * np.cos(tilt)
+        positions = np.stack([radius * np.cos(turn) + 4.0 * index, radius * np.sin(turn), tube_radius * np.sin(tilt)], axis=-1)
         vertices.append(positions.reshape(-1, 3))
         ring, belt = np.meshgrid(np.arange(around), np.arange(across), indexing="ij")
         a, b = ring * across + belt, (ring + 1) % around * across + belt

@@ -46,9 +46,9 @@ def round_box(segments: int, radius: float = 0.05, sides: tuple = SIDES) -> Tria
 def label_faces(mesh: TriangleMesh) -> np.ndarray:
     halfedges = find_edges(mesh.triangles).interior_halfedges
     creases = find_creases(mesh.vertices, mesh.triangles, halfedges)
-    whole = np.zeros(len(mesh.triangles), int)
-    surface = Chart(mesh.vertices, mesh.triangles, np.ones(len(whole)), np.arange(len(whole)) // 2)
-    return divide_at_bevels(surface, halfedges, creases, whole, whole)
+    zeros = np.zeros(len(mesh.triangles), int)
+    surface = Chart(mesh.vertices, mesh.triangles, np.ones(len(zeros)), np.arange(len(zeros)) // 2)
+    return divide_at_bevels(surface, halfedges, creases, zeros, zeros)
 
 
 def unwrap_mesh(mesh: TriangleMesh) -> UnwrapResult:

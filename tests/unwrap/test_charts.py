@@ -150,7 +150,7 @@ def test_cuts_avoid_the_important_half_of_a_sphere(axis):
     is_important = points[triangles].mean(axis=1)[:, axis] > 0.0
     charts = run_to_end(cut_into_charts(Chart(points, triangles, np.where(is_important, 4.0, 1.0)), NO_SEAMS))
     edges = [cut.chart.vertices[boundary_edges(cut.chart.triangles)] for cut in charts]
-    middles = np.concatenate(edges).mean(axis=1)[:, axis]
+    centers = np.concatenate(edges).mean(axis=1)[:, axis]
     lengths = np.linalg.norm(np.subtract(*np.concatenate(edges).transpose(1, 0, 2)), axis=1)
     assert lengths.sum() > 2.0
-    assert lengths[middles > 0.1].sum() < 0.05 * lengths.sum()
+    assert lengths[centers > 0.1].sum() < 0.05 * lengths.sum()

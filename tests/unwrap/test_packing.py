@@ -191,13 +191,13 @@ def unwrap_uniformly(mesh):
     return result
 
 
-def test_a_long_strip_is_cut_in_the_middle():
+def test_a_long_strip_is_cut_into_halves():
     result = unwrap_uniformly(cylinder(radius=0.5, length=4.0 * np.pi, sides=16, cuts=8))
     assert result.chart_count == 2 and result.metrics.fill > 0.9
     assert result.metrics.symmetric_dirichlet == pytest.approx(4.0, abs=1e-6)
 
 
 def test_an_island_that_fills_little_of_the_texture_is_cut_across():
-    """In one piece the map of a torus is a strip that fills 0.28 of the texture."""
-    result = unwrap_uniformly(TriangleMesh(*torus(48, 24)))
+    """In one piece the map of a thin torus is a strip that fills a quarter of the texture."""
+    result = unwrap_uniformly(TriangleMesh(*torus(48, 24, tube_radius=0.3)))
     assert result.chart_count == 2 and result.metrics.fill > 0.55

@@ -9,6 +9,7 @@ from ..geometry.mesh import TriangleMesh, face_areas_and_normals
 from ..geometry.transforms import signed_areas
 from ..jobs.progress import Progress, Steps
 from .cutting.bisection import bisect_further
+from .cutting.boundaries import boundary_edges
 from .cutting.chart import Chart, split_into_components
 from .cutting.charts import CutChart
 from .dividing import divide_long_pieces
@@ -22,7 +23,7 @@ GOOD_FILL = 0.6  # until so much of the square is used. The next one must use it
 MIN_FILL_GAIN = 1.08  # at least this factor.
 MAX_ISLANDS_FOR_CHOICE = 40  # More islands fit in any case.
 POOR_FILL, MAX_CHARTS_TO_HALVE = 0.5, 3  # Up to so many charts that fill less are cut in halves
-MIN_HALVING_GAIN = 1.2  # where the fill is so many times as large then.
+MIN_HALVING_GAIN = 1.5  # where the fill, over the length of seams, becomes so many times as large.
 MAX_SCALE_DIFFERENCE = 0.02  # Between pieces that are sewn together, as a fraction.
 MIN_UPRIGHT_FILL = 0.98  # Of the texture with upright islands, relative to the fill with freely turned ones.
 
@@ -115,12 +116,12 @@ def merge_and_pack(
     corner_uvs, labels = _combine(charts, uvs, len(surface.triangles))
     mesh = TriangleMesh(surface.vertices, surface.triangles)
     scales = _find_scales(surface, labels)
-    halfedges = halfedges[np.abs(np.log(np.divide(*scales[halfedges // 3].T))) <= MAX_SCALE_DIFFERENCE]
+    connected, halfedges = halfedges, halfedges[np.abs(np.log(np.divide(*scales[halfedges // 3].T))) <= MAX_SCALE_DIFFERENCE]
     labels = divide_long_pieces(mesh, surface.polygon_ids, corner_uvs, labels, halfedges, scales)
     sides = labels[halfedges // 3]
     if (sides[:, 0] == sides[:, 1]).all():  # There is nothing to merge.
         packed = yield from pack(surface, charts, uvs, texture, stack)
-        return (yield from _halve_while_filled_poorly(packed, surface, texture, stack))
+        return (yield from _halve_while_filled_poorly(packed, surface, connected, texture, stack))
     lengths = np.linalg.norm(np.subtract(*mesh.vertices[halfedge_ends(mesh.triangles, halfedges[:, 0])].transpose(1, 0, 2)), axis=1)
     best, best_seam = None, np.inf
     for max_side in MAX_ISLAND_SIDES:
@@ -136,12 +137,12 @@ def merge_and_pack(
             best, best_seam = packed, seam
         if packed.fill > GOOD_FILL or len(merged) > MAX_ISLANDS_FOR_CHOICE or len(merged) == len(charts):
             break
-    return (yield from _halve_while_filled_poorly(best, surface, texture, stack))
+    return (yield from _halve_while_filled_poorly(best, surface, connected, texture, stack))
 
 
-def _halve_while_filled_poorly(packed: PackedMap, surface: Chart, texture: Texture, stack: bool) -> Steps[PackedMap]:
-    """Return the map of a few charts, the longest of which are cut across where the texture is filled much better then."""
-    best, gain = packed, 1.0
+def _halve_while_filled_poorly(packed: PackedMap, surface: Chart, halfedges: np.ndarray, texture: Texture, stack: bool) -> Steps[PackedMap]:
+    """Return the map of a few charts, the longest of which are cut across where they fill the texture better than they add seams."""
+    best = packed
     while packed.fill < POOR_FILL and len(packed.charts) <= MAX_CHARTS_TO_HALVE:
         index = int(np.argmax([np.ptp(orient_smallest(uv)[:, 0]) for uv in packed.uvs]))
         cut, uv = packed.charts[index], packed.uvs[index]
@@ -153,10 +154,20 @@ def _halve_while_filled_poorly(packed: PackedMap, surface: Chart, texture: Textu
         charts = [*packed.charts[:index], *packed.charts[index + 1 :], *pieces]
         uvs = [*packed.uvs[:index], *packed.uvs[index + 1 :]]
         uvs += [_average_corners(piece.chart, corner_uvs[piece.triangle_indices]) for piece in pieces]
-        packed, gain = (yield from pack(surface, charts, uvs, texture, stack)), gain * MIN_HALVING_GAIN
-        if packed.fill > gain * best.fill:
-            best, gain = packed, 1.0
+        packed = yield from pack(surface, charts, uvs, texture, stack)
+        seams = [_seam_length(surface, halfedges, each.charts) for each in (best, packed)]
+        if packed.fill * seams[0] > MIN_HALVING_GAIN * best.fill * seams[1]:
+            best = packed
     return best
+
+
+def _seam_length(surface: Chart, halfedges: np.ndarray, charts: list[CutChart]) -> float:
+    """Return the length of the seams between and inside of charts, where triangles are connected across `halfedges` (I, 2)."""
+    corners = surface.vertices[surface.triangles]
+    lengths = np.linalg.norm(np.roll(corners, 1, axis=1) - np.roll(corners, -1, axis=1), axis=2)  # Opposite to each corner.
+    boundary = float(lengths.sum() - lengths.ravel()[halfedges].sum())
+    perimeters = [cut.chart.vertices[boundary_edges(cut.chart.triangles)] for cut in charts]
+    return 0.5 * (sum(float(np.linalg.norm(np.subtract(*ends.transpose(1, 0, 2)), axis=1).sum()) for ends in perimeters) - boundary)
 
 
 def _average_corners(chart: Chart, corner_uvs: np.ndarray) -> np.ndarray:

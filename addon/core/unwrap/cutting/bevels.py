@@ -20,7 +20,7 @@ MIN_FACE_AREA = 0.01  # As a fraction of the area of the connected part.
 MAX_FACE_CURVATURE = 0.1  # Integral of the absolute Gaussian curvature inside a face that counts as developable, in radians.
 MIN_FACES_AREA = 0.6  # Of all developable faces of a region, as a fraction of its area: other regions are too curved to be divided here,
 MIN_CLEAR_AREA = 0.98  # and so are those where these faces and bands cover less,
-MIN_BEND = 1.2  # Radians as above in a region that is divided; a corner of a box has 1.6, a bent sheet 0.
+MIN_REGION_CURVATURE = 1.2  # Radians as above in a region that is divided; a corner of a box has 1.6, a bent sheet 0.
 MIN_STRIPS_AREA = 0.5  # Of quads among all facets of bands: through irregular triangles, a cut is ragged.
 MIN_CONTRAST = 3.0  # or the mean curvature of bands is not so many times larger than that of the rest.
 PREFERENCE = 0.03  # Turn in radians by which the largest face gets more of a band, so that the middle of it goes to one side all along.
@@ -58,18 +58,18 @@ def divide_at_bevels(surface: Chart, halfedges: np.ndarray, creases: np.ndarray,
     is_inside = ~creases & ~is_band[pairs].any(axis=1)
     face_count, faces = label_components(count, halfedges[is_inside])
     face_areas = np.bincount(faces, areas, face_count)
-    bends = _integrate_curvature(vertices, triangles, halfedges[is_inside], faces, face_count)
+    integrals = _integrate_curvature(vertices, triangles, halfedges[is_inside], faces, face_count)
     is_face = (face_areas[faces] > MIN_FACE_AREA * part_areas[component]) & ~is_band
-    is_good = (bends[faces] < MAX_FACE_CURVATURE) & is_face
+    is_good = (integrals[faces] < MAX_FACE_CURVATURE) & is_face
     facet_bands, facet_faces, ranks = np.zeros(total, bool), np.zeros(total, np.int64), np.empty(face_count)
     facet_bands[facets], facet_faces[facets] = ~is_face, faces  # A facet of a face is inside of it.
     ranks[np.argsort(-face_areas, kind="stable")] = np.arange(face_count) / face_count
     owners = _grow(sides, side_folds, side_lengths, facet_bands, PREFERENCE * ranks[facet_faces])
     owner_faces = np.where(owners >= 0, facet_faces[owners], -1)[facets]
-    is_whole = regions[pairs[:, 0]] == regions[pairs[:, 1]]
-    region_bends = _integrate_curvature(vertices, triangles, halfedges[is_whole], regions, int(regions.max()) + 1)
+    is_inside_region = regions[pairs[:, 0]] == regions[pairs[:, 1]]
+    region_integrals = _integrate_curvature(vertices, triangles, halfedges[is_inside_region], regions, int(regions.max()) + 1)
     is_strip = (np.bincount(facets) > 1)[facets]
-    may_divide = _may_divide(regions, faces, areas, curvatures, is_band & (owner_faces >= 0), is_good, region_bends)
+    may_divide = _may_divide(regions, faces, areas, curvatures, is_band & (owner_faces >= 0), is_good, region_integrals)
     may_divide &= np.bincount(regions, areas * (is_band & is_strip)) >= MIN_STRIPS_AREA * np.bincount(regions, areas * is_band)
     # A bevel that is a region of its own joins the region of its face, and regions with several faces are divided.
     face_regions = np.zeros(face_count, np.int64)
@@ -85,11 +85,11 @@ def _may_divide(
     curvatures: np.ndarray,
     is_band: np.ndarray,
     is_good: np.ndarray,
-    bends: np.ndarray,
+    integrals: np.ndarray,
 ) -> np.ndarray:
     """Return which regions (R,) bool to divide: those of bevels alone, and those of developable faces with much sharper bevels between.
 
-    regions, faces, areas, curvatures: (T,). is_band, is_good: (T,) bool, in bevels, and in large developable faces. bends: (R,) the
+    regions, faces, areas, curvatures: (T,). is_band, is_good: (T,) bool, in bevels, and in large developable faces. integrals: (R,) the
     integral of the absolute Gaussian curvature.
     """
     count = int(regions.max()) + 1
@@ -102,7 +102,7 @@ def _may_divide(
     ]
     has_faces = (
         (face_counts > 1)
-        & (bends > MIN_BEND)
+        & (integrals > MIN_REGION_CURVATURE)
         & (good > MIN_FACES_AREA)
         & (bands + good > MIN_CLEAR_AREA)
         & (means[0] > MIN_CONTRAST * means[1])
