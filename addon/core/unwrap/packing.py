@@ -25,7 +25,8 @@ FEWER_TILES_DENSITY = 0.97  # Charts that fill all tiles to a small part, becaus
 MIN_UPRIGHT_GRADIENT = 0.5  # Mean gradient of height in a chart, 1 where it is vertical, above which its surface has an upright position.
 MAX_STRAIGHT_BOX = 1.05  # Bounding box of a chart whose boundary runs along the axes, relative to the smallest one.
 MIN_STRAIGHT = 0.5  # Fraction of the boundary in its main direction, below which a chart may be turned freely.
-MAX_CHARTS_FOR_CHOICE, MIN_DENSITY_GAIN = 24, 1.01  # Up to so many charts are turned to compact boxes where that raises the density.
+MAX_ROUND_ASPECT = 2.0  # Sides of the bounding box of such a chart.
+MAX_CHARTS_FOR_CHOICE, MIN_DENSITY_GAIN = 24, 1.01  # With up to so many charts, these are turned where that raises the density.
 COMPACT_STEPS = 90  # Angles per quarter turn.
 DIRECTION_BINS = 180  # Per quarter turn.
 QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])  # Turns rows of coordinates counter-clockwise.
@@ -66,7 +67,7 @@ def pack_charts(
     oriented = [orient(uv, faces) if turns else uv for uv, faces, turns in zip(uvs, triangles, may_turn, strict=True)]
     placed = yield from place_charts(oriented, triangles, may_turn, grid)
     packing = _arrange_placed(oriented, triangles, placed, texture)
-    is_round = [turns and _main_direction(uv, faces)[1] < MIN_STRAIGHT for uv, faces, turns in zip(uvs, triangles, may_turn, strict=True)]
+    is_round = [turns and _is_round(uv, faces) for uv, faces, turns in zip(oriented, triangles, may_turn, strict=True)]
     for way in (orient_smallest, _orient_compact) if any(is_round) and len(uvs) <= MAX_CHARTS_FOR_CHOICE else ():
         turned = [way(uv) if may_be_slanted else uv for uv, may_be_slanted in zip(oriented, is_round, strict=True)]
         placed = yield from place_charts(turned, triangles, may_turn, grid)
@@ -181,6 +182,12 @@ def _turn(uv: np.ndarray, angles: np.ndarray, size: Callable[..., np.ndarray]) -
 def _hull_angles(uv: np.ndarray) -> np.ndarray:
     hull = convex_hull(uv)
     return _edge_angles(hull, np.roll(hull, -1, axis=0))[0]
+
+
+def _is_round(uv: np.ndarray, triangles: np.ndarray) -> bool:
+    """Return whether a chart `uv` (V, 2) has no direction along which it should lie. triangles: (T, 3)."""
+    length, width = np.ptp(orient_smallest(uv), axis=0)
+    return bool(length <= MAX_ROUND_ASPECT * width) and _main_direction(uv, triangles)[1] < MIN_STRAIGHT
 
 
 def _edge_angles(starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
