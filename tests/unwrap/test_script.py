@@ -45,7 +45,7 @@ def run(*arguments):
 @pytest.mark.parametrize("extension", [".obj", ".glb", ".blend"])
 def test_every_output_format_contains_the_uv_map(head, extension):
     out, report = head.with_name(f"out{extension}"), head.with_name("report.json")
-    assert "1 UV island" in run(head, "--out", out, "--report", report)
+    assert "2 UV islands" in run(head, "--out", out, "--report", report)
     figures = json.loads(report.read_text(encoding="utf-8"))
     assert set(REPORT_KEYS) <= set(figures)
     assert figures["flips"] == figures["overlaps"] == 0
