@@ -11,7 +11,7 @@ from farfield.addon.core.unwrap.cutting.chart import Chart
 from farfield.addon.core.unwrap.cutting.creases import find_creases
 from farfield.addon.core.unwrap.settings import UnwrapSettings
 from farfield.addon.core.unwrap.unwrapping import UnwrapResult, unwrap
-from shapes import box, cylinder, sphere
+from shapes import box, cylinder, sheet, sphere
 
 SIDES = 1.0, 0.6, 0.4
 
@@ -90,3 +90,13 @@ def test_faces_with_rounded_edges_stay_rectangles(segments):
 def test_bodies_without_bevels_are_not_divided(mesh):
     points, indices = np.unique(np.round(mesh.vertices, 9), axis=0, return_inverse=True)
     assert (label_faces(TriangleMesh(points, indices.reshape(-1)[mesh.triangles].astype(np.int32))) == 0).all()
+
+
+@pytest.mark.parametrize(("height", "is_rough"), [(1e-4, False), (0.02, True)])
+def test_a_fine_rough_surface_is_not_divided(height, is_rough):
+    """It has more facets than the square root of the largest 32-bit integer, with `is_rough` all of them sharply curved."""
+    mesh = sheet(320)
+    heights = height * np.random.default_rng(5).uniform(-1.0, 1.0, len(mesh.vertices))
+    if not is_rough:
+        heights[np.abs(mesh.vertices[:, 0]) < 0.5 * np.abs(mesh.vertices[:, 0]).max()] *= 40.0
+    assert (label_faces(TriangleMesh(mesh.vertices + heights[:, None] * [0.0, 0.0, 1.0], mesh.triangles)) == 0).all()

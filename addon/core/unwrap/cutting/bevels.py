@@ -60,6 +60,8 @@ def divide_at_bevels(surface: Chart, halfedges: np.ndarray, creases: np.ndarray,
     face_areas = np.bincount(faces, areas, face_count)
     integrals = _integrate_curvature(vertices, triangles, halfedges[is_inside], faces, face_count)
     is_face = (face_areas[faces] > MIN_FACE_AREA * part_areas[component]) & ~is_band
+    if not is_face.any():
+        return regions
     is_good = (integrals[faces] < MAX_FACE_CURVATURE) & is_face
     facet_bands, facet_faces, ranks = np.zeros(total, bool), np.zeros(total, np.int64), np.empty(face_count)
     facet_bands[facets], facet_faces[facets] = ~is_face, faces  # A facet of a face is inside of it.
@@ -117,7 +119,7 @@ def _grow(sides: np.ndarray, folds: np.ndarray, lengths: np.ndarray, is_band: np
     """
     total = len(is_band)
     perimeters = np.bincount(sides.ravel(), np.repeat(lengths, 2), total)
-    starts, ends = np.concatenate([sides, sides[:, ::-1]]).T
+    starts, ends = np.concatenate([sides, sides[:, ::-1]]).T.astype(np.int64)  # The product below exceeds 32 bits.
     keys, indices = np.unique(starts * total + ends, return_inverse=True)
     borders = np.bincount(indices, np.concatenate([lengths, lengths]))
     turns = np.bincount(indices, np.concatenate([lengths * folds] * 2)) / np.maximum(borders, TINY)
