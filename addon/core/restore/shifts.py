@@ -93,7 +93,7 @@ def find_shifts(window: Surroundings, attempts: int, generator: np.random.Genera
             sections.setdefault(_search_area(part | near, window.wrap), []).append(number)
     best: dict[int, tuple[list[Shift], np.ndarray]] = {}
     for searched, members in sections.items():
-        correlations = _Correlations(window, searched.index)  # of one area at a time, since they take much memory
+        correlations = _Correlations(window, searched.index)  # One at a time, since they take much memory.
         for number in members:
             part, near = section(number)
             costs = correlations.costs(part[searched.index], near[searched.index])
