@@ -6,7 +6,7 @@ from scipy.ndimage import gaussian_filter
 
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.restore import regions, texture
-from farfield.addon.core.restore.guidance import Guide
+from farfield.addon.core.restore.guidance import Guide, build_guide, describe_page
 from farfield.addon.core.restore.labeling import Candidate, Labeling, measure_contrast
 from farfield.addon.core.restore.levels import Page, build_levels
 from farfield.addon.core.restore.regions import PatchStatistics
@@ -30,7 +30,7 @@ def neutral_guide(level):
     """A guide for which all copies cost nothing, without fills."""
     size = level.hole.size
     values = np.zeros(size, np.float32)
-    return Guide(np.zeros((size, 1), np.float32), values, values, values, [[] for _ in level.tops])
+    return Guide(np.zeros((size, 1), np.float32), values, values, values, [[] for _ in level.tops], [False for _ in level.tops])
 
 
 def seam_cost(level, pixels, sources):
@@ -119,6 +119,22 @@ class TestLabeling:
         labeling = Labeling(level, measure_contrast(level), neutral_guide(level), pixels, candidates)
         labeling.optimize_blocks()
         assert (labeling.sources == candidates[1].sources).all()
+
+
+@pytest.mark.parametrize(("half_width", "fill_count", "is_shallow"), [(9, 2, True), (9, 1, False), (14, 2, False)])
+def test_a_shallow_hole_takes_its_fill_by_patches_and_others_may_copy(half_width, fill_count, is_shallow):
+    image, hole = np.random.default_rng(2).random((96, 96, 1), np.float32), np.zeros((96, 96), bool)
+    hole[48 - half_width : 48 + half_width, 8:88] = True
+    page, _ = build_level(image, hole)
+    nothing = np.zeros_like(hole)
+    values = [0.0, 0.1][-fill_count:]
+    pages = [page, *(Page(np.full_like(image, value), nothing, ~nothing, nothing) for value in values)]
+    level = build_levels(pages, 1)[0]
+    guide = build_guide(level, pages, [describe_page(page, nothing)], [list(range(1, fill_count + 1))])
+    run_to_end(regions.copy_regions(level, guide, 0))
+    filled = level.page(0)[hole]
+    assert level.filled[level.hole].all()
+    assert np.allclose(filled, 0.1) == is_shallow
 
 
 def test_smooth_parts_do_not_fill_other_textures():

@@ -8,15 +8,16 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import binary_dilation, gaussian_filter
+from scipy.ndimage import binary_dilation, distance_transform_edt, gaussian_filter
 
 from ..imaging.diffusion import diffuse
-from .levels import Level, Page
+from .levels import RADIUS, Level, Page
 
 COLOR_SIGMA = 2.5  # pixels
 DETAIL_SIGMA = 4.0  # pixels; smaller details are contrast
 CONTRAST_SIGMA = 5.0  # pixels
 VARIATION_SIGMA = 12.0  # pixels
+SHALLOW = 4 * RADIUS + 2  # pixels to the middle of a hole, twice the side of a patch
 CURVE_REACH = 5  # pixels from a curve to edges that it continues, which are not texture
 NOISE = 0.02  # contrast below which texture does not count
 COLOR_WEIGHT = 0.2  # per deviation beyond the tolerance
@@ -54,7 +55,9 @@ class Guide:
         contrasts: (H * W,) float32, natural logarithms.
         scales: (H * W,) float32, the inverse of the deviation of the colors around.
         lacks: (H * W,) float32, the costs of the contrast that fills lack, relative to the deviation of the texture.
-        fills: For each page with a hole the offsets from its pixels to those of its fills.
+        fills: For each page with a hole the offsets from its pixels to those of its fills; that by patches is the last one.
+        are_shallow: For each page with a hole, whether its fill by patches is taken as it is, since what surrounds a shallow hole tells
+            more about it than any other part of the image.
     """
 
     colors: np.ndarray
@@ -62,6 +65,7 @@ class Guide:
     scales: np.ndarray
     lacks: np.ndarray
     fills: list[list[int]]
+    are_shallow: list[bool]
 
     def costs(self, pixels: np.ndarray, sources: np.ndarray, deviation: float) -> np.ndarray:
         """Return the costs (P,) of copies of `sources` (P,) at `pixels` (P,). deviation: of the texture."""
@@ -108,7 +112,10 @@ def build_guide(level: Level, pages: list[Page], looks: list[Look], fills: list[
                 lack = LACK_WEIGHT * evenness * np.maximum(np.exp(contrast) - np.exp(fill_contrast), 0.0)
                 lacks[pixels + offset] = lack.ravel()
         colors[pixels], contrasts[pixels] = _flatten(color), contrast.ravel()
-    return Guide(colors, contrasts, scales, lacks, offsets)
+    are_shallow = [
+        len(numbers) > 1 and bool(distance_transform_edt(page.hole).max() <= SHALLOW) for page, numbers in zip(pages, fills, strict=False)
+    ]
+    return Guide(colors, contrasts, scales, lacks, offsets, are_shallow)
 
 
 def _describe(texture: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -83,18 +83,23 @@ def _fill_bands(level: Level, guide: Guide, generator: np.random.Generator, done
     choices: list[_Choice] = []
     target = np.zeros(())
     for page in pages:
-        pixels, candidates = _find_candidates(level, page, attempt_count, generator)
+        fills = guide.fills[page]
+        if guide.are_shallow[page]:
+            inside = level.pixels(page)
+            pixels, candidates, fills = inside[level.hole[inside]], [[]], fills[-1:]
+        else:
+            pixels, candidates = _find_candidates(level, page, attempt_count, generator)
         if not len(pixels):
             continue
         choice = _Choice(pixels, [], [])
         for each in candidates:
-            each += [Candidate(np.arange(len(pixels)), (pixels + offset).astype(np.int32)) for offset in guide.fills[page]]
+            each += [Candidate(np.arange(len(pixels)), (pixels + offset).astype(np.int32)) for offset in fills]
             labeling = Labeling(level, contrast, guide, pixels, each)
             labeling.optimize_blocks()
             level.copy(pixels, labeling.sources)
             choice.attempts.append(labeling)
             choice.histograms.append(len(pixels) * statistics.histograms(pixels, generator))
-            done += len(pixels) / attempt_count
+            done += len(pixels) / len(candidates)
             yield Progress(min(done / total, 1.0), "Copying texture")
         target = target + len(pixels) * statistics.histograms(_find_nearby(level, page, pixels), generator)
         choices.append(choice)

@@ -82,23 +82,35 @@ def find_shifts(window: Surroundings, attempts: int, generator: np.random.Genera
     numbers, count = _divide(ring)
     rows, columns = distance_transform_edt(~ring, return_distances=False, return_indices=True)
     nearest = np.where(window.hole, numbers[rows, columns], -1)
-    areas: dict[Area, _Correlations] = {}
-    found: list[dict[Shift, None]] = [{} for _ in range(attempts)]
+
+    def section(number: int) -> tuple[np.ndarray, np.ndarray]:
+        return (ring, window.hole) if number < 0 else (numbers == number, nearest == number)
+
+    sections: dict[Area, list[int]] = {}  # by the area that is searched
     for number in range(-1, count):
-        part, near = (ring, window.hole) if number < 0 else (numbers == number, nearest == number)
-        if not near.any():
-            continue
-        searched = _search_area(part | near, window.wrap)
-        if searched not in areas:
-            areas[searched] = _Correlations(window, searched.index)
-        used = Area(0, ring.shape[0], 0, ring.shape[1]) if number < 0 else _grow(part | near, TUNING.reach, window.wrap)
-        costs = areas[searched].costs(part[searched.index], near[searched.index])
-        wanted = TUNING.ring_shifts if number < 0 else TUNING.section_shifts
-        steps, lowest = _best_steps(costs, areas[searched], part[searched.index], wanted * TUNING.choice)
+        part, near = section(number)
+        if near.any():
+            sections.setdefault(_search_area(part | near, window.wrap), []).append(number)
+    best: dict[int, tuple[list[Shift], np.ndarray]] = {}
+    for searched, members in sections.items():
+        correlations = _Correlations(window, searched.index)  # One at a time, since they take much memory.
+        for number in members:
+            part, near = section(number)
+            costs = correlations.costs(part[searched.index], near[searched.index])
+            steps, lowest = _best_steps(costs, correlations, part[searched.index], _count_shifts(number) * TUNING.choice)
+            used = Area(0, ring.shape[0], 0, ring.shape[1]) if number < 0 else _grow(part | near, TUNING.reach, window.wrap)
+            best[number] = [Shift(step, used) for step in steps], lowest
+    found: list[dict[Shift, None]] = [{} for _ in range(attempts)]
+    for number, (candidates, lowest) in sorted(best.items()):
         for shifts in found:
-            varied = lowest * np.exp(TUNING.jitter * generator.standard_normal(len(steps)))
-            shifts |= {Shift(steps[index], used): None for index in np.argsort(varied)[:wanted]}
+            varied = lowest * np.exp(TUNING.jitter * generator.standard_normal(len(candidates)))
+            shifts |= {candidates[index]: None for index in np.argsort(varied)[: _count_shifts(number)]}
     return [list(shifts) for shifts in found]
+
+
+def _count_shifts(number: int) -> int:
+    """Return the number of shifts for a section of the ring, or for all of it if it is negative."""
+    return TUNING.ring_shifts if number < 0 else TUNING.section_shifts
 
 
 class _Correlations:
