@@ -28,6 +28,7 @@ from .panels import bdam as bdam_panels
 from .panels import billboards as billboards_panels
 from .panels import btf as btf_panels
 from .panels import clipbox as clipbox_panels
+from .panels import menus
 from .panels import packages as packages_panels
 from .panels import photos as photos_panels
 from .panels import restore as restore_panels
@@ -70,6 +71,7 @@ MODULES = (
     packages_panels,
     clipbox_panels,
     bdam_panels,
+    menus,
 )
 
 

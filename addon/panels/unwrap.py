@@ -165,13 +165,6 @@ def draw_metrics(
         values.label(text=f"{density:.4g} px/m")
 
 
-def draw_menu(self: bpy.types.Menu, _context: bpy.types.Context) -> None:
-    """Add the operators to the menu *UV* of the UV Editor and the 3D Viewport, where search finds them as well."""
-    self.layout.separator()
-    self.layout.operator(FARFIELD_OT_unwrap.bl_idname)
-    self.layout.operator(FARFIELD_OT_unwrap_overlay.bl_idname)
-
-
 CLASSES = (
     FARFIELD_PT_unwrap,
     *sub_panels(UnwrapSettingsPanel, PANEL),
@@ -180,19 +173,4 @@ CLASSES = (
     *sub_panels(EditorSettingsPanel, EDITOR_PANEL),
     FARFIELD_PT_unwrap_uv_editor_metrics,
 )
-MENUS = ("IMAGE_MT_uvs", "VIEW3D_MT_uv_map")
-register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSES)
-
-
-def register() -> None:
-    """Register the panels and extend the menus."""
-    register_classes()
-    for name in MENUS:
-        getattr(bpy.types, name).append(draw_menu)
-
-
-def unregister() -> None:
-    """Undo `register`."""
-    for name in MENUS:
-        getattr(bpy.types, name).remove(draw_menu)
-    unregister_classes()
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -482,9 +482,3 @@ def test_stacked_islands_are_counted(capfd):
     counts = uv_maps.read_metrics(item.data)
     assert counts["stacked"] >= 0.5 * counts["islands"] > 0 and counts["overlaps"] == 0
     assert f"{counts['islands']} UV islands of which {counts['stacked']} stacked" in capfd.readouterr().out
-
-
-@pytest.mark.parametrize("name", ["IMAGE_MT_uvs", "VIEW3D_MT_uv_map"])
-def test_the_menus_of_uvs_have_the_operators_once(name):
-    entries = [entry for entry in getattr(bpy.types, name).draw._draw_funcs if entry.__module__.endswith("panels.unwrap")]
-    assert len(entries) == 1

@@ -1,0 +1,64 @@
+"""The menus of Blender have the operators of Farfield, once."""
+
+import bpy
+import pytest
+
+from farfield.addon.panels import menus
+
+ICONS = {item.identifier for item in bpy.types.UILayout.bl_rna.functions["operator"].parameters["icon"].enum_items}
+pytestmark = pytest.mark.usefixtures("extension", "empty_scene")
+
+
+class Layout:
+    """A layout that records what is drawn. entries: identifier, text and properties of each operator; menus: of each sub-menu."""
+
+    def __init__(self):
+        self.entries, self.menus = [], []
+
+    def separator(self):
+        """Ignore a line."""
+
+    def menu(self, name):
+        """Record a sub-menu."""
+        self.menus.append(name)
+
+    def operator(self, name, text="", icon="NONE"):
+        """Record an operator, and return an object for its properties."""
+        assert icon in ICONS
+        properties = type("Properties", (), {})()
+        self.entries.append((name, text, properties))
+        return properties
+
+
+def drawn(name):
+    """Return what Farfield adds to a menu of Blender."""
+    layout = Layout()
+    for draw in getattr(bpy.types, name).draw._draw_funcs:
+        if draw.__module__ == menus.__name__:
+            draw(type("Menu", (), {"layout": layout})(), bpy.context)
+    return layout
+
+
+def describe(name):
+    """Return the type of an operator, with its name and properties."""
+    return getattr(bpy.ops.farfield, name.removeprefix("farfield.")).get_rna_type()
+
+
+@pytest.mark.parametrize("name", sorted(menus.MENUS))
+def test_a_menu_of_blender_has_its_operators_once(name):
+    layout = drawn(name)
+    names = [entry for entry, _, _ in layout.entries]
+    assert names == [f"farfield.{entry.operator}" for entry in menus.MENUS[name]] and (names or layout.menus == ["FARFIELD_MT_object"])
+    for identifier, text, properties in layout.entries:
+        rna = describe(identifier)
+        assert text or rna.name
+        for key, value in vars(properties).items():
+            assert value in rna.properties[key].enum_items
+
+
+def test_the_menu_of_objects_has_operators_of_all_tools_for_objects():
+    layout = Layout()
+    menus.FARFIELD_MT_object.draw(type("Menu", (), {"layout": layout})(), bpy.context)
+    tools = {name.removeprefix("farfield.").partition("_")[0] for name, _, _ in layout.entries}
+    assert tools == {"texmesh", "billboards", "btf", "photos", "unwrap", "bdam", "clipbox"}
+    assert all(describe(name).name for name, _, _ in layout.entries)
