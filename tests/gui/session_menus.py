@@ -4,8 +4,6 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-import bpy
-
 sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not add the script's folder
 
 from session import UserInput, current_job, results, save_screenshot, start_session, wait_for_job
