@@ -1,9 +1,10 @@
-"""Build the extension's zips, one per platform, each with the wheels of the packages that Blender's Python lacks.
+"""Build the extension's zips, one per platform and Python, each with the wheels of the packages that Blender's Python lacks.
 
-    python3 scripts/build_extension.py [--platform linux-x64 ...] [--out dist]
+    python3 scripts/build_extension.py [--platform linux-x64 ...] [--python 3.13 ...] [--out dist]
 
-Writes `farfield-<version>-<platform>.zip` for every platform and `farfield-<version>.zip` for the running one. Blender's extension tool
-builds and validates each zip. Wheels are downloaded once, checked against requirements/wheels.txt, and cached in build/wheels.
+Writes `farfield-<version>-<platform>-python<python>.zip` for every platform and Python of Blender, and `farfield-<version>.zip` for the
+running ones. Blender's extension tool builds and validates each zip. Wheels are downloaded once, checked against requirements/wheels.txt,
+and cached in build/wheels.
 """
 
 import argparse
@@ -15,6 +16,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from itertools import product
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
@@ -30,7 +32,8 @@ ROOT = environment.ROOT
 WHEELS_LOCK = ROOT / "requirements" / "wheels.txt"
 WHEELS_CACHE = ROOT / "build" / "wheels"
 STAGED_FILES = ("addon", "__init__.py", "LICENSE")  # in addition to the manifest, to which the wheels are added
-PYTHON_VERSIONS = ("3.11", "3.13")  # Blender 4.5 and 5.0 have the first, 5.1 and later the second.
+# The first version of Blender with a Python, and the first one with a newer Python.
+BLENDER_VERSIONS = {"3.11": ("4.5.0", "5.1.0"), "3.13": ("5.1.0", None)}
 PLATFORMS = {  # wheel tags for the oldest systems that Blender 4.5 and 5.2 support
     "linux-x64": ("manylinux_2_28_x86_64", "manylinux_2_27_x86_64", "manylinux_2_17_x86_64", "manylinux2014_x86_64"),
     "macos-arm64": ("macosx_12_0_arm64",),
@@ -89,8 +92,8 @@ def fetch_wheels(target: str, python: str) -> list[Path]:
     return wheels
 
 
-def stage_files(target: str, folder: Path) -> None:
-    """Copy the contents of the zip for `target` to `folder`: the package, its manifest and its wheels."""
+def stage_files(target: str, python: str, folder: Path) -> None:
+    """Copy the contents of the zip for `target` and a Python version to `folder`: the package, its manifest and its wheels."""
     for name in STAGED_FILES:
         if (ROOT / name).is_dir():
             shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
@@ -98,16 +101,21 @@ def stage_files(target: str, folder: Path) -> None:
             shutil.copy2(ROOT / name, folder / name)
     write_pages(ROOT / "docs", folder / "manual")
     (folder / "wheels").mkdir()
-    names = []
-    for python in PYTHON_VERSIONS:
-        for wheel in fetch_wheels(target, python):
-            shutil.copy2(wheel, folder / "wheels")
-            names.append(f"./wheels/{wheel.name}")
-    wheel_lines = "".join(f'  "{name}",\n' for name in sorted(set(names)))
-    generated = f'platforms = ["{target}"]\nwheels = [\n{wheel_lines}]\n\n'
+    wheels = fetch_wheels(target, python)
+    for wheel in wheels:
+        shutil.copy2(wheel, folder / "wheels")
+    names = "".join(f'  "./wheels/{wheel.name}",\n' for wheel in wheels)
     manifest = (ROOT / "blender_manifest.toml").read_text(encoding="utf-8")
+    (folder / "blender_manifest.toml").write_text(complete_manifest(manifest, target, python, names), encoding="utf-8")
+
+
+def complete_manifest(manifest: str, target: str, python: str, wheels: str) -> str:
+    """Return the manifest of the zip for a platform and a Python: with both, the versions of Blender that have it, and the lines of `wheels`."""
+    first, end = BLENDER_VERSIONS[python]
+    last = "" if end is None else f'blender_version_max = "{end}"  # the first version with another Python\n'
+    manifest = re.sub(r"(?m)^blender_version_min = .*\n", f'blender_version_min = "{first}"\n{last}', manifest)
     before, table, after = manifest.partition("[permissions]")  # top-level keys must precede the first table
-    (folder / "blender_manifest.toml").write_text(before + generated + table + after, encoding="utf-8")
+    return f'{before}platforms = ["{target}"]\nwheels = [\n{wheels}]\n\n{table}{after}'
 
 
 def run_blender_tool(*arguments: str) -> None:
@@ -125,13 +133,13 @@ def run_blender_tool(*arguments: str) -> None:
         raise BuildError(f"Blender's extension tool cannot {arguments[0]} the extension: {(outcome.stdout + outcome.stderr).strip()}")
 
 
-def build(target: str, out: Path, version: str) -> Path:
-    """Build and validate the zip for Blender's platform `target`. It appears in `out` complete or not at all."""
-    archive = out / f"farfield-{version}-{target}.zip"
+def build(target: str, python: str, out: Path, version: str) -> Path:
+    """Build and validate the zip for Blender's platform `target` and a Python version. It appears in `out` complete or not at all."""
+    archive = out / f"farfield-{version}-{target}-python{python}.zip"
     with tempfile.TemporaryDirectory() as folder:
         tree = Path(folder) / "farfield"
         tree.mkdir()
-        stage_files(target, tree)
+        stage_files(target, python, tree)
         built = Path(folder) / archive.name
         run_blender_tool("build", "--source-dir", str(tree), "--output-filepath", str(built))
         run_blender_tool("validate", str(built))
@@ -156,17 +164,19 @@ def running_platform() -> str:
 def main() -> int:
     parser = argparse.ArgumentParser(description="Build the extension's zips.")
     parser.add_argument("--platform", action="append", choices=list(PLATFORMS), help="build for this platform only (may be repeated)")
+    parser.add_argument("--python", action="append", choices=list(BLENDER_VERSIONS), help="build for this Python only (may be repeated)")
     parser.add_argument("--out", type=Path, default=ROOT / "dist", help="folder for the zips (default: dist)")
     arguments = parser.parse_args()
     version = tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))["version"]
     try:
         arguments.out.mkdir(parents=True, exist_ok=True)
-        for target in arguments.platform or PLATFORMS:
-            archive = build(target, arguments.out, version)
+        running = running_platform(), f"{sys.version_info[0]}.{sys.version_info[1]}"
+        for target, python in product(arguments.platform or PLATFORMS, arguments.python or BLENDER_VERSIONS):
+            archive = build(target, python, arguments.out, version)
             print(f"{archive}  {archive.stat().st_size / 1e6:.1f} MB")
-            if target == running_platform():
+            if (target, python) == running:
                 copy_atomically(archive, arguments.out / f"farfield-{version}.zip")
-                print(f"{arguments.out / f'farfield-{version}.zip'}  (this platform)")
+                print(f"{arguments.out / f'farfield-{version}.zip'}  (this platform and Python)")
     except BuildError as error:
         print(error, file=sys.stderr)
         return 2

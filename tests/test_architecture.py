@@ -298,5 +298,6 @@ def test_versions_agree():
 
 def test_manifest_is_what_the_readme_promises():
     manifest = tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))
-    assert (manifest["id"], manifest["blender_version_min"], manifest["blender_version_max"]) == ("farfield", "4.5.0", "5.3.0")
+    assert (manifest["id"], manifest["blender_version_min"]) == ("farfield", "4.5.0")
+    assert "blender_version_max" not in manifest, "no version is known to fail"
     assert "wheels" not in manifest, "a checkout holds no wheels; the zip's manifest lists them"

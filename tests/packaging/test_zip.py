@@ -1,5 +1,6 @@
 """The packaged zip, not the checkout, is installed and enabled in Blender, in a folder with spaces and non-ASCII characters."""
 
+import itertools
 import json
 import os
 import re
@@ -18,6 +19,7 @@ pytest.importorskip("bpy")
 pytestmark = pytest.mark.slow
 
 CHILD = Path(__file__).with_name("in_blender.py")
+MAX_BYTES = 55e6
 MANIFEST = tomllib.loads((environment.ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))
 
 
@@ -35,7 +37,8 @@ def archive(folder) -> Path:
     if target not in build_extension.PLATFORMS:
         pytest.skip(f"there is no zip for {target}")
     script = environment.ROOT / "scripts" / "build_extension.py"
-    command = [sys.executable, str(script), "--platform", target, "--out", str(folder / "dist")]
+    python = f"{sys.version_info[0]}.{sys.version_info[1]}"
+    command = [sys.executable, str(script), "--platform", target, "--python", python, "--out", str(folder / "dist")]
     outcome = subprocess.run(command, capture_output=True, text=True, check=False)
     assert outcome.returncode == 0, outcome.stderr
     return folder / "dist" / f"farfield-{MANIFEST['version']}.zip"
@@ -89,16 +92,30 @@ def test_zip_contains_the_documentation_as_linked_html(resources):
             assert "://" in link or (page.parent / link).exists(), f"{page.name}: {link}"
 
 
-def test_zip_contains_the_wheels_of_both_pythons_but_not_numpy(archive):
+def test_zip_contains_the_wheels_of_its_python_but_not_numpy(archive):
     with zipfile.ZipFile(archive) as packed:
         manifest = tomllib.loads(packed.read("blender_manifest.toml").decode())
         wheels = {name for name in packed.namelist() if name.startswith("wheels/")}
     assert {name.removeprefix("./") for name in manifest["wheels"]} == wheels
     assert len(manifest["platforms"]) == 1
     bundled = {(name.split("/")[1].split("-")[0].lower(), name.split("-")[2]) for name in wheels}
-    binary_wheels = {(package, python) for package in ("scipy", "xatlas", "fast_simplification", "pillow") for python in ("cp311", "cp313")}
-    stable = {("meshopt", "cp311"), ("meshopt", "cp312"), ("threadpoolctl", "py3"), ("tifffile", "py3")}
+    python = f"cp{sys.version_info[0]}{sys.version_info[1]}"
+    binary_wheels = {(package, python) for package in ("scipy", "xatlas", "fast_simplification", "pillow")}
+    stable = {("meshopt", "cp311" if python == "cp311" else "cp312"), ("threadpoolctl", "py3"), ("tifffile", "py3")}
     assert bundled == binary_wheels | stable
+    assert archive.stat().st_size < MAX_BYTES
+
+
+def test_zips_of_all_pythons_exclude_each_other_and_no_newer_blender():
+    import build_extension
+
+    text = (environment.ROOT / "blender_manifest.toml").read_text(encoding="utf-8")
+    pythons = build_extension.BLENDER_VERSIONS
+    manifests = [tomllib.loads(build_extension.complete_manifest(text, "linux-x64", python, '  "./wheels/a.whl",\n')) for python in pythons]
+    limits = [(manifest["blender_version_min"], manifest.get("blender_version_max")) for manifest in manifests]
+    assert limits == list(pythons.values()) and limits[0][0] == MANIFEST["blender_version_min"] and limits[-1][1] is None
+    assert all(end == start for (_, end), (start, _) in itertools.pairwise(limits))
+    assert all(manifest["wheels"] == ["./wheels/a.whl"] and manifest["platforms"] == ["linux-x64"] for manifest in manifests)
 
 
 def test_enabling_registers_the_tab_and_disabling_removes_everything(results):
