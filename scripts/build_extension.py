@@ -110,7 +110,7 @@ def stage_files(target: str, python: str, folder: Path) -> None:
 
 
 def complete_manifest(manifest: str, target: str, python: str, wheels: str) -> str:
-    """Return the manifest of the zip for a platform and a Python: with both, the versions of Blender that have it, and the lines of `wheels`."""
+    """Return the manifest of a zip: with its platform, the versions of Blender that have its Python, and the lines of `wheels`."""
     first, end = BLENDER_VERSIONS[python]
     last = "" if end is None else f'blender_version_max = "{end}"  # the first version with another Python\n'
     manifest = re.sub(r"(?m)^blender_version_min = .*\n", f'blender_version_min = "{first}"\n{last}', manifest)
