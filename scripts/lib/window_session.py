@@ -52,9 +52,10 @@ def wait_for_job(until_fraction: float | None = None) -> Iterator[float | list[f
 def open_panel(tool: str, is_open: Callable[[type], bool]) -> None:
     """Show the panel of `tool` first and open, with the sub-panels for which `is_open` is true; close the panels of the other tools.
 
-    The panels are those of the extension's registration: every panel module has CLASSES, and those without a parent are main panels.
+    The panels are those of the extension's registration: every module of panels has CLASSES, and those without a parent are main panels.
     """
-    panel_modules = [item for item in module("addon.registration").MODULES if ".addon.panels." in item.__name__]
+    modules = module("addon.registration").MODULES
+    panel_modules = [item for item in modules if ".addon.panels." in item.__name__ and hasattr(item, "CLASSES")]
     for item in reversed(panel_modules):
         item.unregister()
     for item in sorted(panel_modules, key=lambda item: not _belongs_to(item, tool)):
