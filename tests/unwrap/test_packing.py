@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from charts import torus
+from farfield.addon.core.geometry.edges import find_edges
 from farfield.addon.core.geometry.mesh import TriangleMesh, concatenate, scaled_normals
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.unwrap.cutting.atlas_seams import find_atlas_seams
+from farfield.addon.core.unwrap.merging import MergeLimits, merge_islands
 from farfield.addon.core.unwrap.packing import orient, orient_smallest, pack_charts, turn_upright
 from farfield.addon.core.unwrap.settings import UnwrapSettings
 from farfield.addon.core.unwrap.texture import Texture
@@ -201,3 +203,17 @@ def test_an_island_that_fills_little_of_the_texture_is_cut_across():
     """In one piece the map of a thin torus is a strip that fills a quarter of the texture."""
     result = unwrap_uniformly(TriangleMesh(*torus(48, 24, tube_radius=0.3)))
     assert result.chart_count == 2 and result.metrics.fill > 0.55
+
+
+@pytest.mark.parametrize(("limits", "is_joined"), [(MergeLimits(1.25), True), (MergeLimits(1.25, max_addition=1.25), False)])
+def test_small_arms_of_a_large_island_can_be_forbidden(limits, is_joined):
+    """A square plate with a wall of 0.2 x 0.1 that stands on its edge."""
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [1, 0.4, 0], [1, 0.5, 0], [1, 1, 0], [0, 1, 0], [1, 0.4, 0.2], [1, 0.5, 0.2]], np.float64)
+    triangles = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 5], [3, 4, 5], [3, 2, 6], [3, 6, 7]], np.int32)
+    labels = np.array([0, 0, 0, 0, 1, 1])
+    corners = vertices[triangles]
+    corner_uvs = np.where((labels == 0)[:, None, None], corners[..., :2], 3.0 + corners[..., 1:] * [-1.0, 1.0])
+    halfedges = find_edges(triangles, len(vertices)).interior_halfedges
+    border = np.flatnonzero(np.ptp(labels[halfedges // 3], axis=1))
+    _, is_sewn = run_to_end(merge_islands(TriangleMesh(vertices, triangles), corner_uvs, labels, halfedges, np.ones(6), limits))
+    assert is_sewn[border].tolist() == [is_joined]

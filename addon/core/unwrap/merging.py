@@ -23,11 +23,24 @@ MAX_PLACEMENTS = 3  # Placements that are tried per pair of islands, those with 
 MIN_SEWN = 0.12  # Common border relative to the square root of the smaller island's area; a piece that hangs on less is kept apart.
 GAP = 2e-3  # Distance of parts of an island that are not sewn, relative to the side of a square with the area of the surface.
 FOLD_PREFERENCE, CONCAVE_PREFERENCE = 0.3, 0.05  # How much longer a border counts that is flat, and one that is convex.
-MAX_BOX_GROWTH = (
-    1.25  # Of a merged island's bounding box over those of the two islands that it consists of. Shorter islands than `SMALL_SIDE`
-)
-MAX_SMALL_BOX_GROWTH, SMALL_SIDE = 1.7, 0.4  # may grow more.
+MAX_SMALL_BOX_GROWTH, SMALL_SIDE = 1.7, 0.4  # Islands that stay shorter may grow so much, see `MergeLimits`.
 PAIRS_PER_YIELD = 32
+
+
+@dataclass(frozen=True)
+class MergeLimits:
+    """Limits of the bounding boxes of merged islands.
+
+    Attributes:
+        max_side: Relative to the side of a square with the area of the bounding boxes of all pieces.
+        max_growth: Area, relative to that of the boxes of the two islands that are merged.
+        max_addition: Area that the box of the larger of both gains, relative to the box of the smaller one. A low limit forbids arms that
+            are small but stick out of a large island.
+    """
+
+    max_side: float
+    max_growth: float = 1.25
+    max_addition: float = np.inf
 
 
 @dataclass
@@ -41,7 +54,7 @@ class _Island:
 
 
 def merge_islands(
-    mesh: TriangleMesh, corner_uvs: np.ndarray, labels: np.ndarray, halfedges: np.ndarray, scales: np.ndarray, max_side: float
+    mesh: TriangleMesh, corner_uvs: np.ndarray, labels: np.ndarray, halfedges: np.ndarray, scales: np.ndarray, limits: MergeLimits
 ) -> Steps[tuple[np.ndarray, np.ndarray]]:
     """Return the corner UVs (T, 3, 2) of pieces that are moved next to each other, and the pairs of halfedges that are sewn, (I,) bool.
 
@@ -51,9 +64,9 @@ def merge_islands(
         labels: (T,) the piece of each triangle.
         halfedges: (I, 2), 3 t + c, pairs across which triangles may be connected.
         scales: (T,) lengths in the map over lengths on the surface, about the same on both sides of each pair.
-        max_side: of a merged island, relative to the side of a square with the area of the bounding boxes of all pieces.
+        limits: of merged islands.
     """
-    merging = _Merging(mesh, corner_uvs.copy(), labels, halfedges, scales, max_side)
+    merging = _Merging(mesh, corner_uvs.copy(), labels, halfedges, scales, limits)
     yield from merging.run()
     return merging.corner_uvs, merging.sewn()
 
@@ -68,7 +81,7 @@ class _Merging:
         labels: np.ndarray,
         halfedges: np.ndarray,
         scales: np.ndarray,
-        max_side: float,
+        limits: MergeLimits,
     ) -> None:
         self.corner_uvs, self._labels = corner_uvs, labels.astype(np.int64)
         faces, corners = halfedges // 3, halfedges % 3
@@ -80,7 +93,7 @@ class _Merging:
         self._weights = self._lengths * _preferences(mesh, halfedges)
         areas = face_areas_and_normals(mesh.corners)[0] * scales**2
         self._side = square_side(corner_uvs, labels)
-        self._max_side = max_side * self._side
+        self._limits, self._max_side = limits, limits.max_side * self._side
         self._is_blocked = np.zeros(len(halfedges), bool)
         self._islands: dict[int, _Island] = {}
         order = np.argsort(self._labels, kind="stable")
@@ -175,8 +188,11 @@ class _Merging:
         max_side = min(MAX_LENGTH * self._side, self._max_side) if is_thin else self._max_side
         if sides.max() > max(max_side, parts.max()):
             return False
-        max_growth = MAX_BOX_GROWTH if sides.max() > SMALL_SIDE * self._side else MAX_SMALL_BOX_GROWTH
-        return bool(sides.prod() <= max_growth * parts.prod(axis=1).sum())
+        boxes = parts.prod(axis=1)
+        if sides.max() <= SMALL_SIDE * self._side:
+            return bool(sides.prod() <= MAX_SMALL_BOX_GROWTH * boxes.sum())
+        is_filled = sides.prod() <= self._limits.max_growth * boxes.sum()
+        return bool(is_filled and sides.prod() <= boxes.max() + self._limits.max_addition * boxes.min())
 
     def _join(self, a: int, b: int, hull: np.ndarray) -> None:
         """Add the island `b`, which has been moved to `hull` (H, 2), to the island `a`."""
