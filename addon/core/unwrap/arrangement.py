@@ -21,13 +21,13 @@ from .texture import Texture
 MERGE_LIMITS = (  # Tried in turn,
     MergeLimits(1.25),
     MergeLimits(0.9),
-    MergeLimits(0.65),
+    MergeLimits(0.4),
     MergeLimits(1.25, max_growth=1.1),
     MergeLimits(1.25, max_addition=1.25),
 )
-GOOD_FILL = 0.6  # until so much of the square is used. The next one must use it better by
+GOOD_FILL = 0.7  # until so much of the square is used. The next one must use it better by
 MIN_FILL_GAIN = 1.08  # at least this factor.
-MAX_ISLANDS_FOR_CHOICE = 40  # More islands fit in any case.
+MAX_ISLANDS_FOR_CHOICE = 60  # More islands fit in any case.
 POOR_FILL, MAX_CHARTS_TO_HALVE = 0.5, 3  # Up to so many charts that fill less are cut in halves
 MIN_HALVING_GAIN = 1.5  # where the fill, over the length of seams, becomes so many times as large.
 MAX_SCALE_DIFFERENCE = 0.02  # Between pieces that are sewn together, as a fraction.
