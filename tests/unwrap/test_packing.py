@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 
 from charts import torus
+from farfield.addon.core.geometry.edges import find_edges
 from farfield.addon.core.geometry.mesh import TriangleMesh, concatenate, scaled_normals
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.unwrap.cutting.atlas_seams import find_atlas_seams
+from farfield.addon.core.unwrap.merging import MergeLimits, merge_islands
+from farfield.addon.core.unwrap.overlaps import any_overlap
 from farfield.addon.core.unwrap.packing import orient, orient_smallest, pack_charts, turn_upright
 from farfield.addon.core.unwrap.settings import UnwrapSettings
 from farfield.addon.core.unwrap.texture import Texture
@@ -201,3 +204,38 @@ def test_an_island_that_fills_little_of_the_texture_is_cut_across():
     """In one piece the map of a thin torus is a strip that fills a quarter of the texture."""
     result = unwrap_uniformly(TriangleMesh(*torus(48, 24, tube_radius=0.3)))
     assert result.chart_count == 2 and result.metrics.fill > 0.55
+
+
+@pytest.mark.parametrize(("limits", "is_joined"), [(MergeLimits(1.25), True), (MergeLimits(1.25, max_addition=1.25), False)])
+def test_small_arms_of_a_large_island_can_be_forbidden(limits, is_joined):
+    """A square plate with a wall of 0.2 x 0.1 that stands on its edge."""
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [1, 0.4, 0], [1, 0.5, 0], [1, 1, 0], [0, 1, 0], [1, 0.4, 0.2], [1, 0.5, 0.2]], np.float64)
+    triangles = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 5], [3, 4, 5], [3, 2, 6], [3, 6, 7]], np.int32)
+    labels = np.array([0, 0, 0, 0, 1, 1])
+    corners = vertices[triangles]
+    corner_uvs = np.where((labels == 0)[:, None, None], corners[..., :2], 3.0 + corners[..., 1:] * [-1.0, 1.0])
+    halfedges = find_edges(triangles, len(vertices)).interior_halfedges
+    border = np.flatnonzero(np.ptp(labels[halfedges // 3], axis=1))
+    _, is_sewn = run_to_end(merge_islands(TriangleMesh(vertices, triangles), corner_uvs, labels, halfedges, np.ones(6), limits))
+    assert is_sewn[border].tolist() == [is_joined]
+
+
+@pytest.mark.parametrize(
+    ("distance", "radius", "is_overlap"), [(1e-3, 0.0, True), (1e-3, 0.01, False), (-1e-3, 0.01, True), (3e-3, 0.0, False)]
+)
+def test_triangles_may_only_be_closer_than_the_gap_at_a_joint(distance, radius, is_overlap):
+    above = np.array([[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]])
+    below = np.array([[[0.0, 0.0], [0.0, -1.0], [1.0, 0.0]]]) - [0.0, distance]
+    assert any_overlap(above, below, 2e-3, np.zeros((1, 2)), radius) is is_overlap
+
+
+def test_borders_of_slightly_different_lengths_are_joined_without_a_gap():
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [2, 0, 0], [2, 1, 0]], np.float64)
+    triangles = np.array([[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2]], np.int32)
+    labels = np.array([0, 0, 1, 1])
+    corner_uvs = vertices[triangles][..., :2] * np.where(labels == 0, 1.0, 1.01)[:, None, None] + 3.0 * labels[:, None, None]
+    halfedges = find_edges(triangles, len(vertices)).interior_halfedges
+    mesh, limits = TriangleMesh(vertices, triangles), MergeLimits(2.0)
+    joined, is_sewn = run_to_end(merge_islands(mesh, corner_uvs, labels, halfedges, np.ones(4), limits))
+    assert is_sewn.all()
+    np.testing.assert_allclose(joined[0, 1:], joined[3, [0, 2]], atol=1e-12)

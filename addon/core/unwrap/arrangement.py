@@ -13,15 +13,21 @@ from .cutting.boundaries import boundary_edges
 from .cutting.chart import Chart, split_into_components
 from .cutting.charts import CutChart
 from .dividing import divide_long_pieces
-from .merging import merge_islands
+from .merging import MergeLimits, merge_islands
 from .packing import orient_smallest, pack_charts, turn_upright
 from .stacking import Copies, find_copies
 from .texture import Texture
 
-MAX_ISLAND_SIDES = 1.25, 0.9, 0.65  # Limits of merged islands that are tried in turn, see `merge_islands`,
-GOOD_FILL = 0.6  # until so much of the square is used. The next one must use it better by
+MERGE_LIMITS = (  # Tried in turn,
+    MergeLimits(1.25),
+    MergeLimits(0.9),
+    MergeLimits(0.4),
+    MergeLimits(1.25, max_growth=1.1),
+    MergeLimits(1.25, max_addition=1.25),
+)
+GOOD_FILL = 0.7  # until so much of the square is used. The next one must use it better by
 MIN_FILL_GAIN = 1.08  # at least this factor.
-MAX_ISLANDS_FOR_CHOICE = 40  # More islands fit in any case.
+MAX_ISLANDS_FOR_CHOICE = 60  # More islands fit in any case.
 POOR_FILL, MAX_CHARTS_TO_HALVE = 0.5, 3  # Up to so many charts that fill less are cut in halves
 MIN_HALVING_GAIN = 1.5  # where the fill, over the length of seams, becomes so many times as large.
 MAX_SCALE_DIFFERENCE = 0.02  # Between pieces that are sewn together, as a fraction.
@@ -123,9 +129,12 @@ def merge_and_pack(
         packed = yield from pack(surface, charts, uvs, texture, stack)
         return (yield from _halve_while_filled_poorly(packed, surface, connected, texture, stack))
     lengths = np.linalg.norm(np.subtract(*mesh.vertices[halfedge_ends(mesh.triangles, halfedges[:, 0])].transpose(1, 0, 2)), axis=1)
-    best, best_seam = None, np.inf
-    for max_side in MAX_ISLAND_SIDES:
-        placed, is_sewn = yield from merge_islands(mesh, corner_uvs, labels, halfedges, scales, max_side)
+    best, best_seam, tried = None, np.inf, []
+    for limits in MERGE_LIMITS:
+        placed, is_sewn = yield from merge_islands(mesh, corner_uvs, labels, halfedges, scales, limits)
+        if any(np.array_equal(placed, other) for other in tried):
+            continue
+        tried.append(placed)
         merged, merged_uvs = [], []
         for chart, members in split_into_components(surface, halfedges[is_sewn]):
             merged_uvs.append(_average_corners(chart, placed[members]))
@@ -135,7 +144,7 @@ def merge_and_pack(
         seam = float(lengths[~is_sewn].sum())
         if best is None or packed.fill > best.fill * max(MIN_FILL_GAIN, seam / best_seam):
             best, best_seam = packed, seam
-        if packed.fill > GOOD_FILL or len(merged) > MAX_ISLANDS_FOR_CHOICE or len(merged) == len(charts):
+        if best.fill > GOOD_FILL or len(merged) > MAX_ISLANDS_FOR_CHOICE:
             break
     return (yield from _halve_while_filled_poorly(best, surface, connected, texture, stack))
 

@@ -8,6 +8,7 @@ import heapq
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ..arrays import TINY
 from ..geometry.convex_hulls import convex_hull
@@ -22,12 +23,27 @@ MAX_MISMATCH = 0.02  # Distance of two ends that are sewn together, relative to 
 MAX_PLACEMENTS = 3  # Placements that are tried per pair of islands, those with the longest common border first.
 MIN_SEWN = 0.12  # Common border relative to the square root of the smaller island's area; a piece that hangs on less is kept apart.
 GAP = 2e-3  # Distance of parts of an island that are not sewn, relative to the side of a square with the area of the surface.
+JOINT_RADIUS = 0.003  # Around ends of sewn borders, relative to the same side, parts may be closer, such as both sides of a rounded corner.
+SNAP_TOLERANCE = 1e-7  # Distance of corners at the same position, relative to the same side.
 FOLD_PREFERENCE, CONCAVE_PREFERENCE = 0.3, 0.05  # How much longer a border counts that is flat, and one that is convex.
-MAX_BOX_GROWTH = (
-    1.25  # Of a merged island's bounding box over those of the two islands that it consists of. Shorter islands than `SMALL_SIDE`
-)
-MAX_SMALL_BOX_GROWTH, SMALL_SIDE = 1.7, 0.4  # may grow more.
+MAX_SMALL_BOX_GROWTH, SMALL_SIDE = 1.7, 0.4  # Islands that stay shorter may grow so much, see `MergeLimits`.
 PAIRS_PER_YIELD = 32
+
+
+@dataclass(frozen=True)
+class MergeLimits:
+    """Limits of the bounding boxes of merged islands.
+
+    Attributes:
+        max_side: Relative to the side of a square with the area of the bounding boxes of all pieces.
+        max_growth: Area, relative to that of the boxes of the two islands that are merged.
+        max_addition: Area that the box of the larger of both gains, relative to the box of the smaller one. A low limit forbids arms that
+            are small but stick out of a large island.
+    """
+
+    max_side: float
+    max_growth: float = 1.25
+    max_addition: float = np.inf
 
 
 @dataclass
@@ -41,7 +57,7 @@ class _Island:
 
 
 def merge_islands(
-    mesh: TriangleMesh, corner_uvs: np.ndarray, labels: np.ndarray, halfedges: np.ndarray, scales: np.ndarray, max_side: float
+    mesh: TriangleMesh, corner_uvs: np.ndarray, labels: np.ndarray, halfedges: np.ndarray, scales: np.ndarray, limits: MergeLimits
 ) -> Steps[tuple[np.ndarray, np.ndarray]]:
     """Return the corner UVs (T, 3, 2) of pieces that are moved next to each other, and the pairs of halfedges that are sewn, (I,) bool.
 
@@ -51,9 +67,9 @@ def merge_islands(
         labels: (T,) the piece of each triangle.
         halfedges: (I, 2), 3 t + c, pairs across which triangles may be connected.
         scales: (T,) lengths in the map over lengths on the surface, about the same on both sides of each pair.
-        max_side: of a merged island, relative to the side of a square with the area of the bounding boxes of all pieces.
+        limits: of merged islands.
     """
-    merging = _Merging(mesh, corner_uvs.copy(), labels, halfedges, scales, max_side)
+    merging = _Merging(mesh, corner_uvs.copy(), labels, halfedges, scales, limits)
     yield from merging.run()
     return merging.corner_uvs, merging.sewn()
 
@@ -68,7 +84,7 @@ class _Merging:
         labels: np.ndarray,
         halfedges: np.ndarray,
         scales: np.ndarray,
-        max_side: float,
+        limits: MergeLimits,
     ) -> None:
         self.corner_uvs, self._labels = corner_uvs, labels.astype(np.int64)
         faces, corners = halfedges // 3, halfedges % 3
@@ -80,7 +96,7 @@ class _Merging:
         self._weights = self._lengths * _preferences(mesh, halfedges)
         areas = face_areas_and_normals(mesh.corners)[0] * scales**2
         self._side = square_side(corner_uvs, labels)
-        self._max_side = max_side * self._side
+        self._limits, self._max_side = limits, limits.max_side * self._side
         self._is_blocked = np.zeros(len(halfedges), bool)
         self._islands: dict[int, _Island] = {}
         order = np.argsort(self._labels, kind="stable")
@@ -138,20 +154,21 @@ class _Merging:
             hull = moved.hull @ rotation.T + translation
             if not self._is_compact(fixed, moved, hull):
                 continue
-            uvs = self.corner_uvs[moved.triangles] @ rotation.T + translation
-            if any_overlap(self.corner_uvs[fixed.triangles], uvs, GAP * self._side):
+            ends = self._corners_at(a, placing_links)
+            joints = ends[1] @ rotation.T + translation
+            joined, tolerance = 0.5 * (ends[0] + joints), SNAP_TOLERANCE * self._side
+            fixed_uvs = _snap(self.corner_uvs[fixed.triangles], ends[0], joined, tolerance)
+            uvs = _snap(self.corner_uvs[moved.triangles] @ rotation.T + translation, joints, joined, tolerance)
+            if any_overlap(fixed_uvs, uvs, GAP * self._side, joined, JOINT_RADIUS * self._side):
                 self._is_blocked[placing_links] = True  # Islands only grow, so they will never fit there.
                 continue
-            self.corner_uvs[moved.triangles] = uvs
+            self.corner_uvs[fixed.triangles], self.corner_uvs[moved.triangles] = fixed_uvs, uvs
             self._join(a, b, hull)
             return
 
     def _placements(self, a: int, links: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, float, np.ndarray]]:
         """Return rotation (2, 2), translation (2,), length of the sewn border and sewn links of the best placements at island `a`."""
-        faces = self._starts[0][links]
-        sides = np.where((self._labels[faces[:, 0]] == a)[:, None], [0, 1], [1, 0])
-        rows = np.arange(len(links))[:, None]
-        starts, ends = (self.corner_uvs[at][links][rows, sides] for at in (self._starts, self._ends))
+        starts, ends = self._corners_at(a, links).reshape(2, 2, -1, 2).transpose(1, 2, 0, 3)
         vectors, lengths = ends - starts, self._lengths[links]
         angles = np.arctan2(cross(vectors[:, 1], vectors[:, 0]), np.einsum("li,li->l", vectors[:, 1], vectors[:, 0]))
         placements, is_left = [], np.ones(len(links), bool)
@@ -167,6 +184,12 @@ class _Merging:
             is_left &= ~is_sewn
         return sorted(placements, key=lambda placement: -placement[2])
 
+    def _corners_at(self, a: int, links: np.ndarray) -> np.ndarray:
+        """Return the starts and then the ends of links in the map, (2, 2 L, 2): at the island `a`, and at the other one."""
+        sides = np.where(self._labels[self._starts[0][links, 0]] == a, 0, 1)
+        rows = links, np.stack([sides, 1 - sides])
+        return np.concatenate([self.corner_uvs[faces[rows], corners[rows]] for faces, corners in (self._starts, self._ends)], axis=1)
+
     def _is_compact(self, fixed: _Island, moved: _Island, hull: np.ndarray) -> bool:
         """Return whether two islands, the second one moved to `hull` (H, 2), together waste little of the texture."""
         sides = _box_sides(convex_hull(np.concatenate([fixed.hull, hull])))
@@ -175,8 +198,11 @@ class _Merging:
         max_side = min(MAX_LENGTH * self._side, self._max_side) if is_thin else self._max_side
         if sides.max() > max(max_side, parts.max()):
             return False
-        max_growth = MAX_BOX_GROWTH if sides.max() > SMALL_SIDE * self._side else MAX_SMALL_BOX_GROWTH
-        return bool(sides.prod() <= max_growth * parts.prod(axis=1).sum())
+        boxes = parts.prod(axis=1)
+        if sides.max() <= SMALL_SIDE * self._side:
+            return bool(sides.prod() <= MAX_SMALL_BOX_GROWTH * boxes.sum())
+        is_filled = sides.prod() <= self._limits.max_growth * boxes.sum()
+        return bool(is_filled and sides.prod() <= boxes.max() + self._limits.max_addition * boxes.min())
 
     def _join(self, a: int, b: int, hull: np.ndarray) -> None:
         """Add the island `b`, which has been moved to `hull` (H, 2), to the island `a`."""
@@ -193,6 +219,15 @@ class _Merging:
                 self._islands[other].borders[a] = fixed.borders[other]
         for other in fixed.borders:
             self._push(min(a, other), max(a, other))
+
+
+def _snap(corner_uvs: np.ndarray, positions: np.ndarray, targets: np.ndarray, tolerance: float) -> np.ndarray:
+    """Return `corner_uvs` (T, 3, 2), those at `positions` (P, 2) moved to `targets` (P, 2)."""
+    distances, nearest = cKDTree(positions).query(corner_uvs.reshape(-1, 2), distance_upper_bound=tolerance)
+    is_near = np.isfinite(distances)
+    snapped = corner_uvs.reshape(-1, 2).copy()
+    snapped[is_near] = targets[nearest[is_near]]
+    return snapped.reshape(corner_uvs.shape)
 
 
 def _preferences(mesh: TriangleMesh, halfedges: np.ndarray) -> np.ndarray:

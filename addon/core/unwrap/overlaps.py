@@ -8,6 +8,7 @@ contiguous in memory.
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ..arrays import concatenate_ranges
 from ..geometry.transforms import cross, signed_areas
@@ -82,11 +83,13 @@ def _is_separated(triangles: np.ndarray, others: np.ndarray, tolerance: float | 
     return (inward.max(axis=2) <= tolerance * lengths).any(axis=1)
 
 
-def any_overlap(first: np.ndarray, second: np.ndarray, gap: float) -> bool:
+def any_overlap(first: np.ndarray, second: np.ndarray, gap: float, joints: np.ndarray, radius: float) -> bool:
     """Return whether a triangle of `first` (N, 3, 2) overlaps one of `second` (M, 3, 2), both counter-clockwise.
 
-    gap: distance below which triangles count as overlapping, unless they have a corner in common.
+    gap: distance below which triangles count as overlapping, unless they have a corner in common, or each has a corner within `radius` of
+    one of `joints` (J, 2).
     """
+    tree = cKDTree(joints)
     bounds = [(corners.min(axis=1) - 0.5 * gap, corners.max(axis=1) + 0.5 * gap) for corners in (first, second)]
     for _ in range(2):  # Only triangles inside the bounding box of the others can overlap them.
         (first_low, first_high), (second_low, second_high) = bounds
@@ -104,7 +107,8 @@ def any_overlap(first: np.ndarray, second: np.ndarray, gap: float) -> bool:
         meets &= (first_low[:, None, 1] <= second_high[rows, 1]) & (second_low[rows, 1] <= first_high[:, None, 1])
         one, other = np.nonzero(meets)
         one, other = first[one], second[rows][other]
-        has_common_corner = (np.abs(one[:, :, None] - other[:, None]).max(axis=3) <= COMMON_CORNER * gap).any(axis=(1, 2))
-        if _overlap(one, other, np.where(has_common_corner, CONTACT_PER_GAP, -1.0)[:, None] * gap).any():
+        may_touch = (np.abs(one[:, :, None] - other[:, None]).max(axis=3) <= COMMON_CORNER * gap).any(axis=(1, 2))
+        may_touch |= np.logical_and(*((tree.query(corners)[0] <= radius).any(axis=1) for corners in (one, other)))
+        if _overlap(one, other, np.where(may_touch, CONTACT_PER_GAP, -1.0)[:, None] * gap).any():
             return True
     return False
