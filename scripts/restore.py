@@ -43,14 +43,19 @@ def build_parser() -> command_line.Parser:
         "image", type=run_files.INPUT, help="a .png, .tif, .jpg or .exr file; name.<UDIM>.png for tiles, name_####.png for frames"
     )
     parser.add_argument("mask", help="an image that is bright where pixels are missing, the word alpha, or a color #RRGGBB")
-    parser.add_argument(
-        "--out", type=run_files.OUTPUT.ending_in(*EXTENSIONS), required=True, help="the file to write: .png, .tif, .jpg or .exr"
-    )
+    written = run_files.OUTPUT.ending_in(*EXTENSIONS)
+    parser.add_argument("--out", type=written, required=True, help="the file to write: .png, .tif, .jpg or .exr")
     parser.add_argument(TOLERANCE.flag, default="2%", help="largest difference from the color of MASK, 0 to 100%% (default: 2%%)")
     parser.add_argument("--source-mask", type=run_files.INPUT, help="an image that is bright where texture may be copied from")
     parser.add_argument("--barriers", type=run_files.INPUT, help="an image that is bright where diffusion must not pass")
     parser.add_argument("--data", action="store_true", help="the image is data instead of color, used as it is stored")
     parser.add_argument("--normal-map", action="store_true", help="the image is a normal map: data, and the result is normalized")
+    parser.add_argument(
+        "--maps", type=run_files.INPUT, nargs="+", default=[], help="further maps of the material, to restore like the image"
+    )
+    parser.add_argument("--maps-out", type=written, nargs="+", default=[], help="the files to write for --maps, in the same order")
+    parser.add_argument("--normals", type=run_files.INPUT, help="the normal map of the material, to restore like the image")
+    parser.add_argument("--normals-out", type=written, help="the file to write for --normals")
     parser.add_argument("--stages", type=run_files.IMAGE_FOLDER, help="write images of the stages to this folder, as PNG files")
     parser.add_argument(
         "--curve", type=run_files.OUTPUT.ending_in(".png"), help="draw the curve that decides about --split auto, as a PNG file"
@@ -122,6 +127,8 @@ def check_flags(given: argparse.Namespace, settings: RestoreSettings) -> None:
     """Raise FileError or SettingsError if an output has a wrong extension or contradicts the settings, or cannot be written."""
     if not given.mask.strip():
         raise FileError('The path of MASK is empty; give an image, "alpha" or a color #RRGGBB.')
+    if len(given.maps) != len(given.maps_out) or (given.normals is None) != (given.normals_out is None):
+        raise SettingsError("--maps and --maps-out must name as many files, and --normals needs --normals-out.")
     if given.curve is not None and settings.split != "auto":
         raise SettingsError("--curve draws what decides about --split auto; leave out --curve or the other split.")
 

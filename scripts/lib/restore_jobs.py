@@ -3,6 +3,7 @@
 import argparse
 import shutil
 from dataclasses import dataclass
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -31,17 +32,21 @@ from lib.script_stdout import mute_stderr
 
 BAND_PREFIX = "high"  # Stages with this prefix have the mean 0 and are shown around middle gray.
 NORMAL_CHANNELS = 3
-INPUTS = {"image": "the image", "mask": "the mask", "source_mask": "--source-mask", "barriers": "--barriers"}  # and names in messages
+INPUTS = {  # and names in messages
+    "image": "the image", "mask": "the mask", "source_mask": "--source-mask", "barriers": "--barriers", "maps": "--maps",
+    "normals": "--normals",
+}  # fmt: skip
 MASKS = {"mask": "mask", "source_mask": "source mask", "barriers": "barrier mask"}  # and names in messages
-OUTPUTS = {"out": "--out", "curve": "--curve"}
+OUTPUTS = {"out": "--out", "curve": "--curve", "maps_out": "--maps-out", "normals_out": "--normals-out"}
 
 
 @dataclass(frozen=True)
 class ImageJob:
     """One image to restore.
 
-    number: of the tile or frame, None for a single image. paths: absolute paths by the names of the arguments, without those that were not
-    given. mask_rule: the word for alpha or the color that selects missing pixels, None for a mask in a file.
+    number: of the tile or frame, None for a single image. paths: absolute paths by the names of the arguments, those of lists with a number
+    behind, without those that were not given. mask_rule: the word for alpha or the color that selects missing pixels, None for a mask in a
+    file.
     """
 
     number: int | None
@@ -50,20 +55,35 @@ class ImageJob:
 
     def check(self, files: RunFiles) -> None:
         """Raise FileError if an input cannot be read, or an output cannot be written or would replace another file of the run."""
-        inputs = {INPUTS[name]: self.paths[name] for name in INPUTS if name in self.paths}
-        for path in inputs.values():
+        inputs = [(INPUTS[_argument(name)], path) for name, path in self.paths.items() if _argument(name) in INPUTS]
+        for _, path in inputs:
             check_readable(path)
         if self.number is None:  # the arguments have been checked, but for the mask, which may also be a word
             files.check(inputs=[Input(INPUTS["mask"], self.paths["mask"])] if "mask" in self.paths else [])
         else:
-            outputs = [Output(f'{OUTPUTS[name]} "{self.paths[name].name}"', self.paths[name]) for name in OUTPUTS if name in self.paths]
-            files.check(outputs, [Input(f'{name} "{path.name}"', path) for name, path in inputs.items()])
+            outputs = [Output(f'{OUTPUTS[_argument(name)]} "{path.name}"', path) for name, path in self.outputs().items()]
+            files.check(outputs, [Input(f'{name} "{path.name}"', path) for name, path in inputs])
+
+    def outputs(self) -> dict[str, Path]:
+        """Return the paths of the files to write, the result last: the others may still fail."""
+        paths = {name: path for name, path in self.paths.items() if _argument(name) in OUTPUTS}
+        return {name: path for name, path in paths.items() if name != "out"} | {"out": paths["out"]}
+
+    def further_maps(self) -> list[tuple[Path, str]]:
+        """Return the paths of the further maps of the material, the normal map last, and the names of their outputs."""
+        names = sorted((name for name in self.paths if _argument(name) in ("maps", "normals")), key=lambda name: name == "normals")
+        return [(self.paths[name], name.replace(_argument(name), f"{_argument(name)}_out")) for name in names]
 
     def scratch_path(self, name: str, scratch: Path) -> Path:
         """Return where the output `name` is kept until all images are done; it has the file name that it will get."""
         folder = scratch / f"{name}-{self.number}"
         folder.mkdir(exist_ok=True)
         return folder / self.paths[name].name
+
+
+def _argument(name: str) -> str:
+    """Return the name of an argument without the number of a path of a list."""
+    return name.rstrip("0123456789")
 
 
 def list_jobs(given: argparse.Namespace) -> list[ImageJob]:
@@ -74,15 +94,17 @@ def list_jobs(given: argparse.Namespace) -> list[ImageJob]:
     """
     is_file = is_mask_file(given.mask)
     paths = {name: getattr(given, name) for name in (*INPUTS, *OUTPUTS) if name != "mask"} | {"mask": Path(given.mask) if is_file else None}
+    for name in ("maps", "maps_out"):
+        paths |= {f"{name}{index}": path for index, path in enumerate(paths.pop(name))}
     paths = {name: path.absolute() for name, path in paths.items() if path is not None}
     rule = None if is_file else given.mask
     placeholder = find_placeholder(paths["image"])
     if placeholder is None:
         return [ImageJob(None, paths, rule)]
     placeholders = {name: placeholder if placeholder in path.name else find_placeholder(path) for name, path in paths.items()}
-    for name, flag in OUTPUTS.items():
-        if name in paths and placeholders[name] is None:
-            raise FileError(f'{flag} is "{paths[name]}" for several images; put {placeholder} into its name.')
+    for name in paths:
+        if _argument(name) in OUTPUTS and placeholders[name] is None:
+            raise FileError(f'{OUTPUTS[_argument(name)]} is "{paths[name]}" for several images; put {placeholder} into its name.')
     return [
         ImageJob(
             number,
@@ -109,6 +131,8 @@ def restore_image(
         image = read_image_file(path, is_color=not (given.data or given.normal_map))
         if given.normal_map and image.pixels.shape[2] < NORMAL_CHANNELS:
             raise ImageError(f'"{path}" has {image.pixels.shape[2]} channels and a normal map 3; leave out --normal-map.')
+        maps = [image, *(_read_map(further, image, path) for further, _ in job.further_maps())]
+        starts = list(accumulate((each.pixels.shape[2] for each in maps), initial=0))
         remarks: list[str] = []
         mask, source_mask, barriers = (_read_mask(job, name, image, remarks) for name in MASKS)
         if mask is None:
@@ -117,22 +141,24 @@ def restore_image(
     if job.number is None or mask.any():
         try:
             restoration = yield from restore(
-                image.pixels,
+                np.concatenate([each.pixels for each in maps], axis=2) if len(maps) > 1 else image.pixels,
                 mask,
                 settings,
                 source_mask=source_mask,
                 barriers=barriers,
                 is_color=image.is_color,
-                normal_channels=(0,) if given.normal_map else (),
+                further_maps=tuple(starts[1:-1]),
+                normal_channels=(*((0,) if given.normal_map else ()), *((starts[-2],) if given.normals else ())),
                 keep_stages=given.stages is not None,
             )
         except ImageError as error:
             raise ImageError(f'"{path}": {error}') from error
         for stage, seconds in restoration.seconds.items():
             clock.seconds[stage] = clock.seconds.get(stage, 0.0) + seconds
-    pixels = image.pixels if restoration is None else restoration.pixels
     with clock.stage("write"), mute_stderr():
-        write_image_file(job.scratch_path("out", scratch), pixels, image, mask)
+        for each, name, (start, stop) in zip(maps, ["out", *(name for _, name in job.further_maps())], pairwise(starts), strict=True):
+            pixels = each.pixels if restoration is None else restoration.pixels[..., start:stop]
+            write_image_file(job.scratch_path(name, scratch), pixels, each, mask)
         if restoration is not None:
             _write_stages(job, restoration, scratch)
             if "curve" in job.paths:
@@ -140,6 +166,17 @@ def restore_image(
                     job.scratch_path("curve", scratch), draw_kappa_chart(restoration.deviations, restoration.sub_bands, MAX_DEVIATION)
                 )
     return _figures(path, image, mask, restoration) | {"remarks": remarks}
+
+
+def _read_map(path: Path, image: ImageFile, image_path: Path) -> ImageFile:
+    """Return a further map of the material of `image`, as data. Raises ImageError if its size differs."""
+    found = read_image_file(path, is_color=False)
+    (height, width), expected = found.pixels.shape[:2], image.pixels.shape[:2]
+    if (height, width) != expected:
+        raise ImageError(
+            f'"{path}" has {width} x {height} pixels and "{image_path}" {expected[1]} x {expected[0]}; they must have the same size.'
+        )
+    return found
 
 
 def _read_mask(job: ImageJob, name: str, image: ImageFile, remarks: list[str]) -> np.ndarray | None:
@@ -185,10 +222,10 @@ def publish(jobs: list[ImageJob], stages: Path | None, scratch: Path) -> None:
     names = sorted(path.name for path in (scratch / "stages").iterdir()) if (scratch / "stages").is_dir() else []
     if names:
         _publish_folder(stages, scratch / "stages", names)
-    for name in ("curve", "out"):  # the result comes last, from the same disk: the others may still fail
+    for name in jobs[0].outputs():
         for job in jobs:
-            source = job.scratch_path(name, scratch) if name in job.paths else None
-            if source is not None and source.is_file():
+            source = job.scratch_path(name, scratch)
+            if source.is_file():
                 with atomic_file(job.paths[name]) as temporary:
                     shutil.move(source, temporary)
 

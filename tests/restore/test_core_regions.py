@@ -137,6 +137,18 @@ def test_a_shallow_hole_takes_its_fill_by_patches_and_others_may_copy(half_width
     assert np.allclose(filled, 0.1) == is_shallow
 
 
+def test_bricks_are_texture_and_objects_are_not():
+    """Bricks with rough joints are uneven up close and even in a wide view; one rough object on flat ground is uneven in both views."""
+    y, x = np.mgrid[:200, :200]
+    is_joint = (y % 20 < 5) | ((x + 15 * (y // 20 % 2)) % 30 < 5)
+    noise, hole = 0.3 * np.random.default_rng(9).standard_normal((200, 200, 1)).astype(np.float32), disk((200, 200), 10)
+    evenness = []
+    for is_rough in (is_joint, disk((200, 200), 30, (100, 70))):
+        page, _ = build_level(noise * is_rough[..., None], hole)
+        evenness.append(describe_page(page, np.zeros_like(hole)).evenness[hole].min())
+    assert evenness[0] > 0.9 and evenness[1] < 0.5
+
+
 def test_smooth_parts_do_not_fill_other_textures():
     """A texture next to a calm one, whose differences from anything are small. Without regard to contrast all copies come from there."""
     random = np.random.default_rng(3)

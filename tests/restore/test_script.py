@@ -189,6 +189,32 @@ def test_masks_and_kinds_of_data_reach_the_restoration(folder, calls):
     assert (normal_map["is_color"], normal_map["normal_channels"]) == (False, (0,))
 
 
+def test_all_maps_of_a_material_are_restored_together(folder, calls):
+    height, normals = write_image(folder / "height.exr", texture(np.float32, 1)), write_image(folder / "normals.png", texture(np.uint16))
+    given = ("--maps", height, "--maps-out", folder / "h.exr", "--normals", normals, "--normals-out", folder / "n.png")
+    run(folder / "image.png", folder / "mask.png", "--out", folder / "out.png", *SMOOTH, *given)
+    image, _, _, options = calls[0]
+    assert (image.shape[2], options["further_maps"], options["normal_channels"]) == (7, (3, 4), (4,))
+    assert_restored(folder / "image.png", folder / "out.png")
+    assert_restored(height, folder / "h.exr")
+    restored, kept = read_image(folder / "n.png")[0], np.ones((SIZE, SIZE), bool)
+    kept[HOLE] = False
+    assert np.array_equal(restored[kept], texture(np.uint16)[kept])
+    assert np.linalg.norm(2.0 * restored[HOLE] / 65535.0 - 1.0, axis=2) == pytest.approx(1.0, abs=1e-3)
+
+
+def test_wrong_further_maps_are_refused(folder):
+    small, out = write_image(folder / "small.png", texture()[:30]), folder / "out.png"
+    start = (folder / "image.png", folder / "mask.png", "--out", out, *SMOOTH, "--maps", small)
+    with pytest.raises(ImageError, match=r"40 x 30 pixels and .* 40 x 40; they must have the same size"):
+        run(*start, "--maps-out", folder / "small-out.png")
+    with pytest.raises(SettingsError, match="--maps and --maps-out must name as many files"):
+        run(*start)
+    with pytest.raises(FileError):
+        run(*start, "--maps-out", out)
+    assert not out.exists()
+
+
 def test_float_data_is_used_as_stored(folder, calls):
     stored = texture(np.float32, 1)
     write_image(folder / "a.exr", stored)

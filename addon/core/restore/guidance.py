@@ -17,6 +17,7 @@ COLOR_SIGMA = 2.5  # pixels
 DETAIL_SIGMA = 4.0  # pixels; smaller details are contrast
 CONTRAST_SIGMA = 5.0  # pixels
 VARIATION_SIGMA = 12.0  # pixels
+WIDE_CONTRAST_SIGMA, WIDE_SIGMA = 12.0, 36.0  # pixels; a wide view, in which bricks and leaves are texture as well
 SHALLOW = 4 * RADIUS + 2  # pixels to the middle of a hole, twice the side of a patch
 CURVE_REACH = 5  # pixels from a curve to edges that it continues, which are not texture
 NOISE = 0.02  # contrast below which texture does not count
@@ -28,6 +29,7 @@ CONTRAST_TOLERANCE = 0.4  # natural logarithm
 MAX_COST = 1.2
 LACK_WEIGHT = 2.5  # Of contrast that a fill lacks, where texture is even.
 MAX_SPREAD = 0.25  # deviation of the logarithm of the contrast, beyond which it belongs to objects
+MAX_WIDE_SPREAD = 0.125  # the same in the wide view, below which all around a hole is texture
 
 
 class Look(NamedTuple):
@@ -86,7 +88,10 @@ def describe_page(page: Page, curves: np.ndarray) -> Look:
     near_curve = binary_dilation(curves & ~page.hole, iterations=CURVE_REACH)
     expected = diffuse(contrast, page.hole | near_curve, curves & page.hole, page.wrap)
     contrast = np.where(page.hole[..., None], expected, contrast)
-    return Look(color, contrast, 1.0 / (deviation + MIN_DEVIATION), np.exp(-np.square(spread / MAX_SPREAD)))
+    wide_spread = _deviation(_measure_contrast(page.texture, known, WIDE_CONTRAST_SIGMA), known, WIDE_SIGMA)[page.hole].mean()
+    is_texture = wide_spread < MAX_WIDE_SPREAD and expected[page.hole].mean() > np.log(2.0 * NOISE)
+    evenness = np.ones_like(spread) if is_texture else np.exp(-np.square(spread / MAX_SPREAD))
+    return Look(color, contrast, 1.0 / (deviation + MIN_DEVIATION), evenness)
 
 
 def build_guide(level: Level, pages: list[Page], looks: list[Look], fills: list[list[int]]) -> Guide:
@@ -120,14 +125,18 @@ def build_guide(level: Level, pages: list[Page], looks: list[Look], fills: list[
 
 def _describe(texture: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the color (H, W, C) and the logarithm of the contrast (H, W, 1) around each pixel, of the known pixels."""
+    return _blur(texture, known, COLOR_SIGMA), _measure_contrast(texture, known, CONTRAST_SIGMA)
+
+
+def _measure_contrast(texture: np.ndarray, known: np.ndarray, sigma: float) -> np.ndarray:
+    """Return the logarithm of the contrast (H, W, 1) around each pixel, of the known pixels."""
     residual = np.square(texture - _blur(texture, known, DETAIL_SIGMA)).sum(axis=2, keepdims=True)
-    contrast = np.log(np.sqrt(np.maximum(_blur(residual, known, CONTRAST_SIGMA), 0.0)) + NOISE)
-    return _blur(texture, known, COLOR_SIGMA), contrast.astype(np.float32)
+    return np.log(np.sqrt(np.maximum(_blur(residual, known, sigma), 0.0)) + NOISE).astype(np.float32)
 
 
-def _deviation(values: np.ndarray, known: np.ndarray) -> np.ndarray:
+def _deviation(values: np.ndarray, known: np.ndarray, sigma: float = VARIATION_SIGMA) -> np.ndarray:
     """Return the standard deviation (H, W, 1) of the known ones of `values` (H, W, C) around each pixel, of all channels together."""
-    variance = _blur(values**2, known, VARIATION_SIGMA) - _blur(values, known, VARIATION_SIGMA) ** 2
+    variance = _blur(values**2, known, sigma) - _blur(values, known, sigma) ** 2
     return np.sqrt(np.maximum(variance, 0.0).sum(axis=2, keepdims=True))
 
 
