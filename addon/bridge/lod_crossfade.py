@@ -14,11 +14,12 @@ from ..compat import enable_nodes
 from .objects import add_scene_driver
 from .shading.node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
 
-GROUP_NAME, GROUP_VERSION = "Farfield Cross-Fade", 1
+GROUP_NAME, GROUP_VERSION = "Farfield Cross-Fade", 2
 # Custom properties of a cross-fading object. Lengths are in the object's units.
 CROSSFADE = "farfield_crossfade"  # the pixel size above which it shows, the pixel size up to which it shows, and the relative range
 CAMERA_POSITION = "farfield_camera_position"  # in world space
 PIXEL_SIZE = "farfield_pixel_size"  # the growth of a pixel's side per unit of distance, its side at the camera, and 0
+ALWAYS_SHOWN = "farfield_always_shown"  # attribute of instances, above 0 for those that do not fade
 MIN_PIXEL, MAX_PIXEL = 0.0, 1e30  # limits of objects that show from the camera on, or up to any distance
 MIN_RANGE = 1e-3
 ALWAYS = (-1.0, MAX_PIXEL)  # limits of objects that always show; 0 as start would need an active camera
@@ -140,6 +141,8 @@ def _fill_group(builder: NodeBuilder) -> None:
 
     random = _random_of_ray(builder)
     is_shown = builder.math("SUBTRACT", has_passed(start), has_passed(end))
+    always = builder.node("ShaderNodeAttribute", {"attribute_type": "INSTANCER", "attribute_name": ALWAYS_SHOWN}).outputs["Fac"]
+    is_shown = builder.math("MAXIMUM", is_shown, always)
     transparent, mix = (builder.node(node_type) for node_type in ("ShaderNodeBsdfTransparent", "ShaderNodeMixShader"))
     builder.connect(is_shown, mix.inputs[0])
     builder.connect(transparent.outputs[0], mix.inputs[1])

@@ -1,0 +1,229 @@
+"""Node groups that show each object, and each instance, as the level of detail that its distance to the active camera requires.
+
+They need no extension: geometry nodes read the active camera, and drivers its lens and the resolution. A level is instanced only where it
+shows, so renders load only levels that are needed. The levels' materials cross-fade for each camera ray, see `lod_crossfade`; while two
+levels fade into each other, both are instanced. What the camera does not see is the coarsest level, for its shadow and reflections.
+"""
+
+from dataclasses import dataclass
+
+import bpy
+
+from ..lod_crossfade import ALWAYS_SHOWN, CONSTANT, GROWTH, PIXELS, SCENE_PATHS
+from ..shading.node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
+
+NAME, VERSION = "Farfield Levels by Distance", 1
+VIEW_NAME, VIEW_VERSION = "Farfield Active Camera", 1
+TREE = "GeometryNodeTree"
+BOUNDS_TOLERANCE = 1e-4  # Of the coordinates of a bounding box, relative to its size.
+MARGIN = 0.1  # Radians around the image, for motion blur and shifted lenses.
+# The tangent of the angle between the view direction and the corners of the image; as large as possible where everything may be seen.
+DIAGONAL = f"1e6 if t!=0 else tan(a/2)/{PIXELS}*hypot(x,y)*p/100+hypot(i,j)*2*tan(a/2)"
+VIEW_VALUES = {"Growth": GROWTH, "Constant": CONSTANT, "Diagonal": DIAGONAL}
+VIEW_PATHS = SCENE_PATHS | {"i": "camera.data.shift_x", "j": "camera.data.shift_y"}
+
+
+class GeometryBuilder(NodeBuilder):
+    """Adds geometry nodes to one tree."""
+
+    def call(self, node_type: str, inputs: dict[str | int, object], properties: dict[str, object] | None = None) -> bpy.types.Node:
+        """Add a node and set or connect some of its inputs, by name or index."""
+        node = self.node(node_type, properties or {})
+        for key, value in inputs.items():
+            if isinstance(value, bpy.types.NodeSocket):
+                self.tree.links.new(value, node.inputs[key])
+            else:
+                node.inputs[key].default_value = value
+        return node
+
+    def boolean(self, operation: str, first: SocketOrValue, second: SocketOrValue = True) -> bpy.types.NodeSocket:
+        """Return "AND", "OR" or "NOT" of one or two conditions."""
+        node = self.call("FunctionNodeBooleanMath", {0: first}, {"operation": operation})
+        if operation != "NOT":
+            self.tree.links.new(second, node.inputs[1]) if isinstance(second, bpy.types.NodeSocket) else setattr(
+                node.inputs[1], "default_value", second
+            )
+        return node.outputs[0]
+
+    def switch(self, condition: SocketOrValue, if_false: object, if_true: object, input_type: str) -> bpy.types.NodeSocket:
+        """Return one of two values."""
+        return self.call("GeometryNodeSwitch", {0: condition, 1: if_false, 2: if_true}, {"input_type": input_type}).outputs[0]
+
+    def less(self, first: SocketOrValue, second: SocketOrValue) -> bpy.types.NodeSocket:
+        """Return whether a number is smaller than another one."""
+        return self.call("FunctionNodeCompare", {0: first, 1: second}, {"data_type": "FLOAT", "operation": "LESS_THAN"}).outputs[0]
+
+    def transform_point(self, point: SocketOrValue, matrix: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+        """Transform a point by a matrix."""
+        return self.call("FunctionNodeTransformPoint", {0: point, 1: matrix}).outputs[0]
+
+
+@dataclass(frozen=True)
+class View:
+    """What the active camera sees. position, direction: in world space. growth, constant: of the size of a pixel, see `lod_crossfade`.
+    diagonal: see `DIAGONAL`. is_viewport: whether no render is made."""
+
+    position: bpy.types.NodeSocket
+    direction: bpy.types.NodeSocket
+    growth: bpy.types.NodeSocket
+    constant: bpy.types.NodeSocket
+    diagonal: bpy.types.NodeSocket
+    is_viewport: bpy.types.NodeSocket
+
+
+def ensure_level_switch(count: int, shows_instances: bool) -> bpy.types.NodeTree:
+    """Return the node group that shows one of `count` levels, each a collection.
+
+    shows_instances: of the instances in the geometry, those whose bounding box is that of the asset; others stay as they are. Otherwise
+    the geometry is the asset.
+    """
+    sockets = [("Geometry", "Geometry"), ("Center", "Vector"), ("Radius", "Float"), ("Fade Range", "Float"), ("Show Original", "Bool")]
+    sockets += [("Low", "Vector"), ("High", "Vector")] if shows_instances else []
+    for number in range(count):
+        sockets += [(f"Level {number}", "Collection"), (f"Pixel Size {number}", "Float")]
+    kind = "Instances" if shows_instances else "Object"
+
+    def fill(builder: NodeBuilder) -> None:
+        _fill(GeometryBuilder(builder.tree), count, shows_instances)
+
+    name = f"{NAME}: {count} of {kind}"
+    return ensure_shared_group(name, VERSION, sockets, [("Geometry", "Geometry")], fill, f"{kind} {count}", TREE)
+
+
+def _fill(builder: GeometryBuilder, count: int, shows_instances: bool) -> None:
+    given, result = builder.node("NodeGroupInput").outputs, builder.node("NodeGroupOutput").inputs[0]
+    geometry = given["Geometry"]
+    view_node = builder.call("GeometryNodeGroup", {}, {"node_tree": _ensure_view()})
+    view = View(*view_node.outputs[:6])
+    own = builder.call("GeometryNodeObjectInfo", {"Object": builder.node("GeometryNodeSelfObject").outputs[0]})
+    to_world, rest = own.outputs["Transform"], None
+    if shows_instances:
+        is_asset = _has_bounds(builder, given["Low"], given["High"])
+        separated = builder.call("GeometryNodeSeparateGeometry", {0: geometry, 1: is_asset}, {"domain": "INSTANCE"})
+        rest = separated.outputs[1]
+        matrix = builder.node("GeometryNodeInstanceTransform").outputs[0]
+        captured = _capture(builder, separated.outputs[0], matrix, "INSTANCE")
+        points = builder.call("GeometryNodeInstancesToPoints", {0: captured[0]}).outputs[0]
+        local = captured[1]
+        to_world = builder.call("FunctionNodeMatrixMultiply", {0: to_world, 1: local}).outputs[0]
+    else:
+        points, local = builder.call("GeometryNodePoints", {0: 1}).outputs[0], None
+    conditions = _choose(builder, given, view, to_world, count)
+    parts = []
+    for number, (is_shown, always) in enumerate(conditions):
+        level = builder.call("GeometryNodeCollectionInfo", {0: given[f"Level {number}"]}).outputs[0]
+        instances = builder.call("GeometryNodeInstanceOnPoints", {0: points, 1: is_shown, 2: level}).outputs[0]
+        if local is not None:
+            instances = builder.call("GeometryNodeSetInstanceTransform", {0: instances, 2: local}).outputs[0]
+        stored = builder.call(
+            "GeometryNodeStoreNamedAttribute", {0: instances, "Name": ALWAYS_SHOWN, "Value": always}, {"domain": "INSTANCE", "data_type": "FLOAT"}
+        )
+        parts.append(stored.outputs[0])
+    join = builder.node("GeometryNodeJoinGeometry")
+    for part in [*parts, *([rest] if rest is not None else [])]:
+        builder.tree.links.new(part, join.inputs[0])
+    builder.tree.links.new(builder.switch(given["Show Original"], join.outputs[0], geometry, "GEOMETRY"), result)
+
+
+def _capture(
+    builder: GeometryBuilder, geometry: bpy.types.NodeSocket, matrix: bpy.types.NodeSocket, domain: str
+) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]:
+    """Return the geometry with a matrix that its points keep, and that matrix."""
+    node = builder.node("GeometryNodeCaptureAttribute", {"domain": domain})
+    node.capture_items.new("MATRIX", "Transform")
+    builder.tree.links.new(geometry, node.inputs[0])
+    builder.tree.links.new(matrix, node.inputs["Transform"])
+    return node.outputs[0], node.outputs["Transform"]
+
+
+def _has_bounds(builder: GeometryBuilder, low: bpy.types.NodeSocket, high: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+    """Return whether an instance has a bounding box: geometry nodes of Blender before 5.2 cannot tell what an instance refers to."""
+    bounds = builder.node("GeometryNodeInputInstanceBounds")
+    size = builder.vector("LENGTH", builder.vector("SUBTRACT", high, low))
+    distances = [builder.vector("LENGTH", builder.vector("SUBTRACT", bounds.outputs[index], end)) for index, end in enumerate((low, high))]
+    return builder.less(builder.math("ADD", *distances), builder.math("MULTIPLY", size, BOUNDS_TOLERANCE))
+
+
+def _choose(
+    builder: GeometryBuilder, given: bpy.types.bpy_prop_collection, view: View, to_world: bpy.types.NodeSocket, count: int
+) -> list[tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]]:
+    """Return for each level where it is instanced, and where it does not fade, as 0 or 1."""
+    axes = builder.call("FunctionNodeSeparateTransform", {0: to_world}).outputs[2]
+    scale = builder.math("MULTIPLY", builder.vector("LENGTH", axes), 3.0**-0.5)
+    center = builder.transform_point(given["Center"], to_world)
+    largest = builder.math("MAXIMUM", builder.math("MAXIMUM", *(builder.separate(axes)[:2])), builder.separate(axes)[2])
+    radius = builder.math("MULTIPLY", given["Radius"], largest)
+    offset = builder.vector("SUBTRACT", center, view.position)
+    distance = builder.vector("LENGTH", offset)
+
+    def pixel_size(at: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+        size = builder.math("MULTIPLY_ADD", builder.math("MAXIMUM", at, 0.0), view.growth)
+        builder.tree.links.new(view.constant, size.node.inputs[2])
+        return builder.math("DIVIDE", size, builder.math("MAXIMUM", scale, 1e-20))
+
+    nearest, farthest = (pixel_size(builder.math(operation, distance, radius)) for operation in ("SUBTRACT", "ADD"))
+    is_seen = _is_seen(builder, view, offset, distance, radius)
+    is_exact = builder.boolean("OR", view.is_viewport, builder.less(given["Fade Range"], 1e-6))
+    factor = builder.math("ADD", given["Fade Range"], 1.0)
+    is_fading = builder.boolean("AND", is_seen, builder.boolean("NOT", is_exact))
+    always = builder.switch(is_fading, 1.0, 0.0, "FLOAT")
+    found = []
+    for number in range(count):
+        start = given[f"Pixel Size {number}"]
+        is_begun = builder.less(start, builder.switch(is_exact, farthest, nearest, "FLOAT")) if number else None
+        is_shown = is_begun
+        if number < count - 1:
+            end = given[f"Pixel Size {number + 1}"]
+            end = builder.switch(is_exact, builder.math("MULTIPLY", end, factor), end, "FLOAT")
+            is_left = builder.boolean("NOT", builder.less(end, nearest))
+            is_shown = is_left if is_shown is None else builder.boolean("AND", is_shown, is_left)
+        if is_shown is None:
+            is_shown = builder.boolean("NOT", builder.less(view.growth, -1.0))
+        found.append((builder.switch(is_seen, number == count - 1, is_shown, "BOOLEAN"), always))
+    return found
+
+
+def _is_seen(
+    builder: GeometryBuilder,
+    view: View,
+    offset: bpy.types.NodeSocket,
+    distance: bpy.types.NodeSocket,
+    radius: bpy.types.NodeSocket,
+) -> bpy.types.NodeSocket:
+    """Return whether a bounding sphere is within a cone around the image of the camera, or the camera within the sphere."""
+    along = builder.vector("DOT_PRODUCT", offset, view.direction)
+    safe = builder.math("MAXIMUM", distance, 1e-20)
+    angle = builder.math("ARCCOSINE", builder.math("DIVIDE", along, safe))
+    half = builder.math("ARCSINE", builder.math("MINIMUM", builder.math("DIVIDE", radius, safe), 1.0))
+    limit = builder.math("ADD", builder.math("ADD", builder.math("ARCTANGENT", view.diagonal), half), MARGIN)
+    is_all_seen = builder.less(1e5, view.diagonal)
+    is_inside = builder.less(distance, radius)
+    return builder.boolean("OR", builder.boolean("OR", builder.less(angle, limit), is_inside), is_all_seen)
+
+
+def _ensure_view() -> bpy.types.NodeTree:
+    """Return the node group whose outputs are the fields of `View`."""
+    outputs = [("Position", "Vector"), ("Direction", "Vector"), ("Growth", "Float"), ("Constant", "Float"), ("Diagonal", "Float")]
+    return ensure_shared_group(VIEW_NAME, VIEW_VERSION, [], [*outputs, ("Is Viewport", "Bool")], _fill_view, tree_type=TREE)
+
+
+def _fill_view(builder: NodeBuilder) -> None:
+    builder = GeometryBuilder(builder.tree)
+    camera = builder.node("GeometryNodeInputActiveCamera").outputs[0]
+    info = builder.call("GeometryNodeObjectInfo", {"Object": camera})
+    rotate = builder.call("FunctionNodeRotateVector", {0: (0.0, 0.0, -1.0), 1: info.outputs["Rotation"]})
+    values = [info.outputs["Location"], rotate.outputs[0]]
+    for name, expression in VIEW_VALUES.items():
+        node = builder.node("ShaderNodeValue", {"name": name, "label": name})
+        driver = node.outputs[0].driver_add("default_value").driver
+        driver.type = "SCRIPTED"
+        for key, path in VIEW_PATHS.items():
+            variable = driver.variables.new()
+            variable.name, variable.type = key, "CONTEXT_PROP"
+            variable.targets[0].context_property, variable.targets[0].data_path = "ACTIVE_SCENE", path
+        driver.expression = expression
+        values.append(node.outputs[0])
+    values.append(builder.node("GeometryNodeIsViewport").outputs[0])
+    output = builder.node("NodeGroupOutput")
+    for value, target in zip(values, output.inputs, strict=False):
+        builder.tree.links.new(value, target)
