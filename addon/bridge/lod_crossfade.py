@@ -20,6 +20,7 @@ CROSSFADE = "farfield_crossfade"  # the pixel size above which it shows, the pix
 CAMERA_POSITION = "farfield_camera_position"  # in world space
 PIXEL_SIZE = "farfield_pixel_size"  # the growth of a pixel's side per unit of distance, its side at the camera, and 0
 ALWAYS_SHOWN = "farfield_always_shown"  # attribute of instances, above 0 for those that do not fade
+INSTANCE_SCALE = "farfield_instance_scale"  # attribute of instances: replaces the scale of the object where it is above 0
 MIN_PIXEL, MAX_PIXEL = 0.0, 1e30  # limits of objects that show from the camera on, or up to any distance
 MIN_RANGE = 1e-3
 ALWAYS = (-1.0, MAX_PIXEL)  # limits of objects that always show; 0 as start would need an active camera
@@ -131,6 +132,9 @@ def _fill_group(builder: NodeBuilder) -> None:
     distance = builder.vector("LENGTH", builder.vector("SUBTRACT", position, builder.object_attribute(CAMERA_POSITION)))
     component = 3.0**-0.5
     scale = builder.vector("LENGTH", builder.vector_transform((component, component, component), "VECTOR", "OBJECT", "WORLD"))
+    given = builder.instance_attribute(INSTANCE_SCALE)  # So that levels whose objects have different matrices switch at the same distance.
+    is_given = builder.math("GREATER_THAN", given, 0.0)
+    scale = builder.math("ADD", scale, builder.math("MULTIPLY", is_given, builder.math("SUBTRACT", given, scale)))
     pixel_size = builder.math("DIVIDE", builder.math("ADD", builder.math("MULTIPLY", distance, growth), constant), scale)
 
     def has_passed(switch_size: SocketOrValue) -> SocketOrValue:
@@ -141,8 +145,7 @@ def _fill_group(builder: NodeBuilder) -> None:
 
     random = _random_of_ray(builder)
     is_shown = builder.math("SUBTRACT", has_passed(start), has_passed(end))
-    always = builder.node("ShaderNodeAttribute", {"attribute_type": "INSTANCER", "attribute_name": ALWAYS_SHOWN}).outputs["Fac"]
-    is_shown = builder.math("MAXIMUM", is_shown, always)
+    is_shown = builder.math("MAXIMUM", is_shown, builder.instance_attribute(ALWAYS_SHOWN))
     transparent, mix = (builder.node(node_type) for node_type in ("ShaderNodeBsdfTransparent", "ShaderNodeMixShader"))
     builder.connect(is_shown, mix.inputs[0])
     builder.connect(transparent.outputs[0], mix.inputs[1])

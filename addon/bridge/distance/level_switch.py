@@ -6,16 +6,19 @@ levels fade into each other, both are instanced. What the camera does not see is
 """
 
 from dataclasses import dataclass
+from enum import Enum
 
 import bpy
 
-from ..lod_crossfade import ALWAYS_SHOWN, CONSTANT, GROWTH, PIXELS, SCENE_PATHS
+from ..lod_crossfade import ALWAYS_SHOWN, CONSTANT, GROWTH, INSTANCE_SCALE, PIXELS, SCENE_PATHS
 from ..shading.node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
 
 NAME, VERSION = "Farfield Levels by Distance", 1
 VIEW_NAME, VIEW_VERSION = "Farfield Active Camera", 1
 TREE = "GeometryNodeTree"
 BOUNDS_TOLERANCE = 1e-4  # Of the coordinates of a bounding box, relative to its size.
+TINY_BOX = 1e-20  # Size of the bounding box of an instance that has only other instances.
+MAX_NESTING = 4  # Levels of instances of instances, such as of a collection with collections.
 MARGIN = 0.1  # Radians around the image, for motion blur and shifted lenses.
 # The tangent of the angle between the view direction and the corners of the image; as large as possible where everything may be seen.
 DIAGONAL = f"1e6 if t!=0 else tan(a/2)/{PIXELS}*hypot(x,y)*p/100+hypot(i,j)*2*tan(a/2)"
@@ -58,6 +61,15 @@ class GeometryBuilder(NodeBuilder):
         return self.call("FunctionNodeTransformPoint", {0: point, 1: matrix}).outputs[0]
 
 
+class Places(Enum):
+    """Where an asset is: OBJECT where the modified object is, which it replaces; MATCHING at those instances in its geometry whose bounding
+    box is that of the asset, others stay as they are; ALL at all of its instances."""
+
+    OBJECT = "Object"
+    MATCHING = "Instances"
+    ALL = "Places"
+
+
 @dataclass(frozen=True)
 class View:
     """What the active camera sees. position, direction: in world space. growth, constant: of the size of a pixel, see `lod_crossfade`.
@@ -71,58 +83,53 @@ class View:
     is_viewport: bpy.types.NodeSocket
 
 
-def ensure_level_switch(count: int, shows_instances: bool) -> bpy.types.NodeTree:
-    """Return the node group that shows one of `count` levels, each a collection.
-
-    shows_instances: of the instances in the geometry, those whose bounding box is that of the asset; others stay as they are. Otherwise
-    the geometry is the asset.
-    """
-    sockets = [("Geometry", "Geometry"), ("Center", "Vector"), ("Radius", "Float"), ("Fade Range", "Float"), ("Show Original", "Bool")]
-    sockets += [("Low", "Vector"), ("High", "Vector")] if shows_instances else []
+def ensure_level_switch(count: int, places: Places) -> bpy.types.NodeTree:
+    """Return the node group that shows one of `count` levels, each a collection, at the `places` of an asset."""
+    sockets = [("Geometry", "Geometry"), ("Center", "Vector"), ("Radius", "Float"), ("Fade Range", "Float")]
+    sockets += [("Low", "Vector"), ("High", "Vector")] if places is Places.MATCHING else []
     for number in range(count):
         sockets += [(f"Level {number}", "Collection"), (f"Pixel Size {number}", "Float")]
-    kind = "Instances" if shows_instances else "Object"
 
     def fill(builder: NodeBuilder) -> None:
-        _fill(GeometryBuilder(builder.tree), count, shows_instances)
+        _fill(GeometryBuilder(builder.tree), count, places)
 
-    name = f"{NAME}: {count} of {kind}"
-    return ensure_shared_group(name, VERSION, sockets, [("Geometry", "Geometry")], fill, f"{kind} {count}", TREE)
+    name = f"{NAME}: {count} of {places.value}"
+    return ensure_shared_group(name, VERSION, sockets, [("Geometry", "Geometry")], fill, f"{places.value} {count}", TREE)
 
 
-def _fill(builder: GeometryBuilder, count: int, shows_instances: bool) -> None:
+def _fill(builder: GeometryBuilder, count: int, places: Places) -> None:
     given, result = builder.node("NodeGroupInput").outputs, builder.node("NodeGroupOutput").inputs[0]
     geometry = given["Geometry"]
     view_node = builder.call("GeometryNodeGroup", {}, {"node_tree": _ensure_view()})
     view = View(*view_node.outputs[:6])
     own = builder.call("GeometryNodeObjectInfo", {"Object": builder.node("GeometryNodeSelfObject").outputs[0]})
-    to_world, rest = own.outputs["Transform"], None
-    if shows_instances:
-        is_asset = _has_bounds(builder, given["Low"], given["High"])
-        separated = builder.call("GeometryNodeSeparateGeometry", {0: geometry, 1: is_asset}, {"domain": "INSTANCE"})
-        rest = separated.outputs[1]
-        matrix = builder.node("GeometryNodeInstanceTransform").outputs[0]
-        captured = _capture(builder, separated.outputs[0], matrix, "INSTANCE")
-        points = builder.call("GeometryNodeInstancesToPoints", {0: captured[0]}).outputs[0]
-        local = captured[1]
-        to_world = builder.call("FunctionNodeMatrixMultiply", {0: to_world, 1: local}).outputs[0]
+    to_world, local, rest = own.outputs["Transform"], None, None
+    if places is Places.OBJECT:
+        points = builder.call("GeometryNodePoints", {0: 1}).outputs[0]
     else:
-        points, local = builder.call("GeometryNodePoints", {0: 1}).outputs[0], None
-    conditions = _choose(builder, given, view, to_world, count)
-    parts = []
-    for number, (is_shown, always) in enumerate(conditions):
-        level = builder.call("GeometryNodeCollectionInfo", {0: given[f"Level {number}"]}).outputs[0]
-        instances = builder.call("GeometryNodeInstanceOnPoints", {0: points, 1: is_shown, 2: level}).outputs[0]
-        if local is not None:
-            instances = builder.call("GeometryNodeSetInstanceTransform", {0: instances, 2: local}).outputs[0]
-        stored = builder.call(
-            "GeometryNodeStoreNamedAttribute", {0: instances, "Name": ALWAYS_SHOWN, "Value": always}, {"domain": "INSTANCE", "data_type": "FLOAT"}
-        )
-        parts.append(stored.outputs[0])
+        if places is Places.MATCHING:
+            geometry = _flatten(builder, geometry)
+            is_asset = _has_bounds(builder, given["Low"], given["High"])
+            separated = builder.call("GeometryNodeSeparateGeometry", {0: geometry, 1: is_asset}, {"domain": "INSTANCE"})
+            geometry, rest = separated.outputs
+        matrix = builder.node("GeometryNodeInstanceTransform").outputs[0]
+        captured, local = _capture(builder, geometry, matrix, "INSTANCE")
+        points = builder.call("GeometryNodeInstancesToPoints", {0: captured}).outputs[0]
+        to_world = builder.call("FunctionNodeMatrixMultiply", {0: to_world, 1: local}).outputs[0]
+    size, always, conditions = _choose(builder, given, view, to_world, count)
     join = builder.node("GeometryNodeJoinGeometry")
-    for part in [*parts, *([rest] if rest is not None else [])]:
+    for number, is_shown in enumerate(conditions):
+        level = builder.call("GeometryNodeCollectionInfo", {0: given[f"Level {number}"]}).outputs[0]
+        part = builder.call("GeometryNodeInstanceOnPoints", {0: points, 1: is_shown, 2: level}).outputs[0]
+        if local is not None:
+            part = builder.call("GeometryNodeSetInstanceTransform", {0: part, 2: local}).outputs[0]
+        for name, value in ((ALWAYS_SHOWN, always), (INSTANCE_SCALE, size)):
+            properties = {"domain": "INSTANCE", "data_type": "FLOAT"}
+            part = builder.call("GeometryNodeStoreNamedAttribute", {0: part, "Name": name, "Value": value}, properties).outputs[0]
         builder.tree.links.new(part, join.inputs[0])
-    builder.tree.links.new(builder.switch(given["Show Original"], join.outputs[0], geometry, "GEOMETRY"), result)
+    if rest is not None:
+        builder.tree.links.new(rest, join.inputs[0])
+    builder.tree.links.new(join.outputs[0], result)
 
 
 def _capture(
@@ -136,6 +143,16 @@ def _capture(
     return node.outputs[0], node.outputs["Transform"]
 
 
+def _flatten(builder: GeometryBuilder, geometry: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+    """Return the geometry with the instances in its nested instances, in place of these, which are those without a bounding box."""
+    for _ in range(MAX_NESTING):
+        bounds = builder.node("GeometryNodeInputInstanceBounds")
+        size = builder.vector("LENGTH", builder.vector("SUBTRACT", *(bounds.outputs[index] for index in (1, 0))))
+        inputs = {0: geometry, "Selection": builder.less(size, TINY_BOX), "Realize All": False, "Depth": 1}
+        geometry = builder.call("GeometryNodeRealizeInstances", inputs).outputs[0]
+    return geometry
+
+
 def _has_bounds(builder: GeometryBuilder, low: bpy.types.NodeSocket, high: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
     """Return whether an instance has a bounding box: geometry nodes of Blender before 5.2 cannot tell what an instance refers to."""
     bounds = builder.node("GeometryNodeInputInstanceBounds")
@@ -146,9 +163,9 @@ def _has_bounds(builder: GeometryBuilder, low: bpy.types.NodeSocket, high: bpy.t
 
 def _choose(
     builder: GeometryBuilder, given: bpy.types.bpy_prop_collection, view: View, to_world: bpy.types.NodeSocket, count: int
-) -> list[tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]]:
-    """Return for each level where it is instanced, and where it does not fade, as 0 or 1."""
-    axes = builder.call("FunctionNodeSeparateTransform", {0: to_world}).outputs[2]
+) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket, list[bpy.types.NodeSocket]]:
+    """Return the scale of each place, where levels do not fade, as 0 or 1, and for each level where it is instanced."""
+    axes = builder.vector("ABSOLUTE", builder.call("FunctionNodeSeparateTransform", {0: to_world}).outputs[2])
     scale = builder.math("MULTIPLY", builder.vector("LENGTH", axes), 3.0**-0.5)
     center = builder.transform_point(given["Center"], to_world)
     largest = builder.math("MAXIMUM", builder.math("MAXIMUM", *(builder.separate(axes)[:2])), builder.separate(axes)[2])
@@ -179,8 +196,8 @@ def _choose(
             is_shown = is_left if is_shown is None else builder.boolean("AND", is_shown, is_left)
         if is_shown is None:
             is_shown = builder.boolean("NOT", builder.less(view.growth, -1.0))
-        found.append((builder.switch(is_seen, number == count - 1, is_shown, "BOOLEAN"), always))
-    return found
+        found.append(builder.switch(is_seen, number == count - 1, is_shown, "BOOLEAN"))
+    return scale, always, found
 
 
 def _is_seen(
@@ -227,3 +244,12 @@ def _fill_view(builder: NodeBuilder) -> None:
     output = builder.node("NodeGroupOutput")
     for value, target in zip(values, output.inputs, strict=False):
         builder.tree.links.new(value, target)
+
+
+def level_modifiers(item: bpy.types.Object) -> list[bpy.types.NodesModifier]:
+    """Return the modifiers of an object that show levels by distance."""
+    return [
+        modifier
+        for modifier in item.modifiers
+        if modifier.type == "NODES" and modifier.node_group is not None and modifier.node_group.name.startswith(NAME)
+    ]

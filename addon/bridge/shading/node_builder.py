@@ -114,6 +114,10 @@ class NodeBuilder:
         node = self.node("ShaderNodeAttribute", {"attribute_type": "OBJECT", "attribute_name": name, "label": name})
         return node.outputs["Vector"]
 
+    def instance_attribute(self, name: str) -> bpy.types.NodeSocket:
+        """Return the attribute `name` of the shaded instance as a number, 0 without it."""
+        return self.node("ShaderNodeAttribute", {"attribute_type": "INSTANCER", "attribute_name": name}).outputs["Fac"]
+
     def transform(self, point: SocketOrValue, matrix: np.ndarray) -> bpy.types.NodeSocket:
         """Transform `point` by an affine `matrix` (4, 4)."""
         rows = [self.math("ADD", self.vector("DOT_PRODUCT", point, row[:3].tolist()), float(row[3])) for row in matrix[:3]]
