@@ -55,7 +55,7 @@ class FARFIELD_PT_distance_levels(SidebarPanel, bpy.types.Panel):
     bl_idname = "FARFIELD_PT_distance_levels"
     bl_parent_id = "FARFIELD_PT_distance"
     bl_label = "Levels by Distance"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012 - as Blender expects it
+    bl_options = {"DEFAULT_CLOSED"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

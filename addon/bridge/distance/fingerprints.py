@@ -63,7 +63,7 @@ def _describe_node(node: bpy.types.Node) -> str:
     pixels = (
         None
         if image is None
-        else (image.name, *image.size, image.filepath, image.is_dirty, [len(file.data) for file in image.packed_files])
+        else (image.name, *image.size, image.filepath, image.is_dirty, [file.packed_file.size for file in image.packed_files])
     )
     return repr((node.name, inputs, settings, pixels))
 

@@ -213,7 +213,7 @@ def _is_seen(
     angle = builder.math("ARCCOSINE", builder.math("DIVIDE", along, safe))
     half = builder.math("ARCSINE", builder.math("MINIMUM", builder.math("DIVIDE", radius, safe), 1.0))
     limit = builder.math("ADD", builder.math("ADD", builder.math("ARCTANGENT", view.diagonal), half), MARGIN)
-    is_all_seen = builder.less(1e5, view.diagonal)
+    is_all_seen = builder.boolean("OR", builder.less(1e5, view.diagonal), builder.less(view.diagonal, 1e-9))  # It is 0 without a camera.
     is_inside = builder.less(distance, radius)
     return builder.boolean("OR", builder.boolean("OR", builder.less(angle, limit), is_inside), is_all_seen)
 

@@ -189,8 +189,8 @@ def ensure_shared_group(
     variant: str = "",
     tree_type: str = "ShaderNodeTree",
 ) -> bpy.types.NodeTree:
-    """Return the group of this name, version and `variant` that all materials or modifiers of the file share; create it with `fill` if there
-    is none."""
+    """Return the group of this name, version and `variant` that all materials or modifiers of the file share; create it with `fill` if
+    there is none."""
     for group in bpy.data.node_groups:
         is_same = group.get("farfield_version") == version and group.get("farfield_variant", "") == variant
         if is_same and group.name.startswith(name) and group.library is None:

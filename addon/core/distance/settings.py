@@ -17,7 +17,7 @@ class DistanceSettings(Settings):
     )
     fade_range: float = setting(
         0.2,
-        "Distance range in which a level fades into the next one in renders, relative to the distance where it starts; 0 switches instantly",
+        "Distance range of the cross-fade to the next level in renders, relative to the distance where it starts; 0 switches instantly",
         minimum=0.0,
         maximum=2.0,
         unit=Unit.FRACTION,

@@ -34,11 +34,10 @@ LEVELS_FRACTION = 0.5  # Of the work on an asset.
 
 @dataclass(frozen=True)
 class Part:
-    """An object of an asset, and its levels. copy: of the object. matrix: from the object to the asset. meshes: of the levels, finest first,
-    the first of which is that of the object. candidates: the same as numbers, in units of the asset."""
+    """An object of an asset, and its levels. copy: of the object. meshes: of the levels and their matrices in the asset, finest first, of
+    which the first is that of the object. candidates: the same as numbers, in units of the asset."""
 
     copy: bpy.types.Object
-    matrix: mathutils.Matrix
     meshes: list[tuple[bpy.types.Mesh, mathutils.Matrix]]
     candidates: list[LevelCandidate]
 
@@ -143,7 +142,7 @@ def _read_part(asset: Asset, item: bpy.types.Object, copy: bpy.types.Object, set
     """Return an object of an asset with its perceptual levels, if it has any."""
     inverse = asset.frame.inverted_safe()
     unit = _mean_scale(asset.frame)
-    matrix, meshes, candidates = inverse @ world_matrix(item), [(item.data, inverse @ world_matrix(item))], []
+    meshes, candidates = [(item.data, inverse @ world_matrix(item))], []
     for levels in (levels for levels in sets if levels.source == copy):
         for level, error in zip(levels.levels, levels.errors, strict=True):
             world = world_matrix(level)
@@ -153,7 +152,7 @@ def _read_part(asset: Asset, item: bpy.types.Object, copy: bpy.types.Object, set
     if not candidates:
         evaluated = copy.evaluated_get(copy.users_scene[0].view_layers[0].depsgraph)
         candidates.append(LevelCandidate(count_triangles(evaluated), 0.0))
-    return Part(copy, matrix, meshes, candidates)
+    return Part(copy, meshes, candidates)
 
 
 def _assemble(
@@ -185,8 +184,8 @@ def _assemble(
 def _create_object(
     part: Part, number: int, copies: dict[bpy.types.Material, bpy.types.Material]
 ) -> tuple[bpy.types.Object, mathutils.Matrix]:
-    """Return a new object that shows a level of `part`, and its matrix. That of the first level has copies of the materials of the original,
-    so that a cross-fade leaves these as they are."""
+    """Return a new object that shows a level of `part`, and its matrix. That of the first level has copies of the materials of the
+    original, so that a cross-fade leaves these as they are."""
     mesh, matrix = part.meshes[number]
     if number:
         item = bpy.data.objects.new(part.copy.name, mesh)

@@ -69,8 +69,8 @@ class DistanceJob:
         yield Progress(0.0, "Reading the scene")
 
     def scene_steps(self, _core_result: None) -> Steps[str]:
-        """Make the levels that are not there yet, then add all modifiers at once. Levels that are finished when the job is cancelled stay in
-        the file, and the next run uses them.
+        """Make the levels that are not there yet, then add all modifiers at once. Levels that are finished when the job is cancelled stay
+        in the file, and the next run uses them.
 
         Raises:
             GeometryError: nothing can be made ready, or an object or the scene was removed meanwhile.

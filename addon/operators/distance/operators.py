@@ -54,7 +54,7 @@ class FARFIELD_OT_distance_build(start_job.StartJob, bpy.types.Operator):
 
 
 class FARFIELD_OT_distance_analyze(bpy.types.Operator):
-    """List the selected objects, or all visible ones, by their triangles at all places together, with their distances to the active camera"""
+    """List the selected objects, or all visible ones, by their triangles at all places, with their distances to the active camera"""
 
     bl_idname = "farfield.distance_analyze"
     bl_label = "Analyze What Is Heavy"
@@ -82,7 +82,7 @@ class FARFIELD_OT_distance_analyze(bpy.types.Operator):
 class LevelsOperator:
     """Mixin of operators that need levels in the scene."""
 
-    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - as Blender expects it
+    bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
