@@ -137,7 +137,7 @@ def describe_file() -> dict[str, object]:
         modifiers = [(modifier.name, modifier.show_viewport, modifier.show_render) for modifier in item.modifiers]
         slots = [(slot.link, slot.material.name if slot.material else "") for slot in item.material_slots]
         keys = sorted(item.keys())
-        flags = (item.instance_type, item.hide_viewport, item.hide_render, item.select_get() if item.users_scene else False)
+        flags = (item.instance_type, item.hide_viewport, item.hide_render)
         places = [collection.name for collection in item.users_collection]
         found[item.name] = (modifiers, slots, keys, flags, places, [tuple(row) for row in item.matrix_basis])
     scene = bpy.context.scene

@@ -131,3 +131,11 @@ def test_moved_objects_change_their_level(camera):
     bpy.context.scene.collection.objects.link(parent)
     box.parent, parent.location = parent, (0.0, 20.0, 0.0)
     assert shown() == [("Box 1", (0, 25, 0))]
+
+
+def test_a_subdivided_kind_is_recognized_where_renders_subdivide_it_more(camera):
+    kinds = [add_box("Kind", linked=False), add_box("Other", size=0.8, linked=False)]
+    subdivision = kinds[0].modifiers.new("Subdivision", "SUBSURF")
+    subdivision.levels, subdivision.render_levels = 1, 3
+    attach_levels([add_scatter([(0.0, 60.0, 0.0), (0.0, 61.0, 0.0)], kinds)])
+    assert [name for name, _ in shown()] == ["Kind 2", "Other 2"] == [name for name, _ in rendered()]

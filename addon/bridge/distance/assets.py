@@ -11,6 +11,7 @@ import mathutils
 import numpy as np
 
 from ...core.geometry.transforms import is_invertible, transform_points
+from ..geometry.mesh_arrays import read_positions
 from ..geometry.meshes import is_collection_instance, may_have_surface
 from ..lod_sets import KIND
 from ..objects import world_matrix
@@ -22,7 +23,9 @@ TYPES = {"MESH", "CURVE", "SURFACE", "FONT"}
 # Modifiers that move a surface within its object, or whose purpose needs the mesh.
 LIVING = {"ARMATURE", "CLOTH", "SOFT_BODY", "MESH_SEQUENCE_CACHE", "OCEAN", "WAVE", "FLUID", "DYNAMIC_PAINT", "EXPLODE", "COLLISION"}
 LIVING |= {"PARTICLE_SYSTEM", "PARTICLE_INSTANCE", "SURFACE_DEFORM", "MESH_DEFORM", "LATTICE", "HOOK", "LAPLACIANDEFORM", "BUILD"}
-BOX_TOLERANCE = 1e-3  # Of bounding boxes that count as equal, relative to their size.
+MIN_OFFSET = 1e-3  # Of bounding boxes that do not count as equal, relative to their size.
+MAX_TOLERANCE = 0.2  # Of the bounding box of an asset, relative to its size.
+MAX_FRACTION = 0.3  # Of the distance to the nearest bounding box of another object.
 
 
 @dataclass
@@ -40,6 +43,7 @@ class Asset:
         triangles: at one place.
         low: lowest corner (3,) of the bounding box, in the space of the asset.
         high: highest corner (3,) of the bounding box, in the space of the asset.
+        tolerances: by scatterer, how much the bounding box of an instance may differ.
     """
 
     name: str
@@ -52,16 +56,12 @@ class Asset:
     triangles: int = 0
     low: np.ndarray = field(default_factory=lambda: np.zeros(3))
     high: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    tolerances: dict[bpy.types.Object, float] = field(default_factory=dict)
 
     def measure(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Compute the number of triangles and the bounding box."""
-        inverse, corners = self.frame.inverted_safe(), []
-        for item in self.objects:
-            evaluated = item.evaluated_get(depsgraph)
-            self.triangles += count_triangles(evaluated)
-            corners.append(transform_points(np.array(inverse @ world_matrix(item)), np.array(evaluated.bound_box)))
-        points = np.concatenate(corners)
-        self.low, self.high = points.min(axis=0), points.max(axis=0)
+        self.triangles = sum(count_triangles(item.evaluated_get(depsgraph)) for item in self.objects)
+        self.low, self.high = read_box(self.objects, self.frame, depsgraph)
 
     @property
     def positions(self) -> tuple[np.ndarray, np.ndarray]:
@@ -98,7 +98,7 @@ class AssetSearch:
         found = [asset for asset in self._found.values() if asset.matrices]
         for asset in found:
             asset.measure(self._depsgraph)
-        self._drop_ambiguous(found)
+        self._find_tolerances(found)
         return [asset for asset in found if asset.matrices]
 
     def _add_empty(self, item: bpy.types.Object) -> None:
@@ -182,22 +182,39 @@ class AssetSearch:
             return "it is a rigid body with the shape of its mesh"
         return ""
 
-    def _drop_ambiguous(self, assets: Sequence[Asset]) -> None:
-        """Remove assets from scatterers with another one that has the same bounding box, by which geometry nodes recognize them."""
-        boxes = {asset.name: np.concatenate([asset.low, asset.high]) for asset in assets if asset.scatterers}
+    def _find_tolerances(self, assets: Sequence[Asset]) -> None:
+        """Find how much bounding boxes of instances may differ from those of assets, by which geometry nodes recognize them: viewports and
+        renders may differ. Remove assets from scatterers that instance another object with the same box."""
         for scatterer in dict.fromkeys(item for asset in assets for item in asset.scatterers):
-            rivals = [asset for asset in assets if scatterer in asset.scatterers]
-            for asset in rivals:
-                tolerance = BOX_TOLERANCE * np.linalg.norm(asset.high - asset.low)
-                others = [other for other in rivals if other is not asset]
-                if any(np.abs(boxes[asset.name] - boxes[other.name]).max() < tolerance for other in others):
+            boxes = {source: read_box([source], world_matrix(source), self._depsgraph) for source in self._instanced.places[scatterer]}
+            for asset in [asset for asset in assets if scatterer in asset.scatterers]:
+                size = float(np.linalg.norm(asset.high - asset.low))
+                others = [box for source, box in boxes.items() if source != asset.objects[0]]
+                offsets = [np.linalg.norm(asset.low - low) + np.linalg.norm(asset.high - high) for low, high in others]
+                nearest = min(offsets, default=np.inf)
+                asset.tolerances[scatterer] = float(min(MAX_TOLERANCE * size, MAX_FRACTION * nearest))
+                if nearest < MIN_OFFSET * size:
                     self._skip(f"{asset.name} in {scatterer.name}", "another object that it instances has the same bounding box")
                     asset.scatterers.remove(scatterer)
-                    gone = self._instanced.places[scatterer][asset.objects[0]]
-                    asset.matrices = [matrix for matrix in asset.matrices if not any(matrix is other for other in gone)]
+                    places = {id(matrix) for matrix in self._instanced.places[scatterer][asset.objects[0]]}
+                    asset.matrices = [matrix for matrix in asset.matrices if id(matrix) not in places]
 
     def _skip(self, name: str, reason: str) -> None:
         self.skipped.append(f"{name} ({reason})")
+
+
+def read_box(
+    objects: Sequence[bpy.types.Object], frame: mathutils.Matrix, depsgraph: bpy.types.Depsgraph
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lowest and highest corner (3,) of the meshes of objects, in the space from which `frame` leads to the world. Blender's own
+    bounding box is that of the cage if the mesh is subdivided."""
+    corners, inverse = [], frame.inverted_safe()
+    for item in objects:
+        geometry = item.evaluated_get(depsgraph).evaluated_geometry()
+        if geometry.mesh is not None and len(geometry.mesh.vertices):
+            corners.append(transform_points(np.array(inverse @ world_matrix(item)), read_positions(geometry.mesh)))
+    points = np.concatenate(corners) if corners else np.zeros((1, 3))
+    return points.min(axis=0), points.max(axis=0)
 
 
 def count_triangles(evaluated: bpy.types.Object) -> int:

@@ -16,7 +16,6 @@ from ..shading.node_builder import NodeBuilder, SocketOrValue, ensure_shared_gro
 NAME, VERSION = "Farfield Levels by Distance", 1
 VIEW_NAME, VIEW_VERSION = "Farfield Active Camera", 1
 TREE = "GeometryNodeTree"
-BOUNDS_TOLERANCE = 1e-4  # Of the coordinates of a bounding box, relative to its size.
 TINY_BOX = 1e-20  # Size of the bounding box of an instance that has only other instances.
 MAX_NESTING = 4  # Levels of instances of instances, such as of a collection with collections.
 MARGIN = 0.1  # Radians around the image, for motion blur and shifted lenses.
@@ -86,7 +85,7 @@ class View:
 def ensure_level_switch(count: int, places: Places) -> bpy.types.NodeTree:
     """Return the node group that shows one of `count` levels, each a collection, at the `places` of an asset."""
     sockets = [("Geometry", "Geometry"), ("Center", "Vector"), ("Radius", "Float"), ("Fade Range", "Float")]
-    sockets += [("Low", "Vector"), ("High", "Vector")] if places is Places.MATCHING else []
+    sockets += [("Low", "Vector"), ("High", "Vector"), ("Tolerance", "Float")] if places is Places.MATCHING else []
     for number in range(count):
         sockets += [(f"Level {number}", "Collection"), (f"Pixel Size {number}", "Float")]
 
@@ -109,7 +108,7 @@ def _fill(builder: GeometryBuilder, count: int, places: Places) -> None:
     else:
         if places is Places.MATCHING:
             geometry = _flatten(builder, geometry)
-            is_asset = _has_bounds(builder, given["Low"], given["High"])
+            is_asset = _has_bounds(builder, given)
             separated = builder.call("GeometryNodeSeparateGeometry", {0: geometry, 1: is_asset}, {"domain": "INSTANCE"})
             geometry, rest = separated.outputs
         matrix = builder.node("GeometryNodeInstanceTransform").outputs[0]
@@ -153,12 +152,11 @@ def _flatten(builder: GeometryBuilder, geometry: bpy.types.NodeSocket) -> bpy.ty
     return geometry
 
 
-def _has_bounds(builder: GeometryBuilder, low: bpy.types.NodeSocket, high: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
-    """Return whether an instance has a bounding box: geometry nodes of Blender before 5.2 cannot tell what an instance refers to."""
-    bounds = builder.node("GeometryNodeInputInstanceBounds")
-    size = builder.vector("LENGTH", builder.vector("SUBTRACT", high, low))
-    distances = [builder.vector("LENGTH", builder.vector("SUBTRACT", bounds.outputs[index], end)) for index, end in enumerate((low, high))]
-    return builder.less(builder.math("ADD", *distances), builder.math("MULTIPLY", size, BOUNDS_TOLERANCE))
+def _has_bounds(builder: GeometryBuilder, given: bpy.types.bpy_prop_collection) -> bpy.types.NodeSocket:
+    """Return whether an instance has the bounding box of the asset: geometry nodes of Blender before 5.2 cannot tell what it refers to."""
+    bounds = builder.node("GeometryNodeInputInstanceBounds").outputs
+    offsets = [builder.vector("SUBTRACT", bounds[index], given[name]) for index, name in enumerate(("Low", "High"))]
+    return builder.less(builder.math("ADD", *(builder.vector("LENGTH", offset) for offset in offsets)), given["Tolerance"])
 
 
 def _choose(

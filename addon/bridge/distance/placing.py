@@ -25,21 +25,22 @@ def attach_chain(asset: Asset, chain: Chain, scene: bpy.types.Scene, fade_range:
     """Show an asset by its levels at all its places."""
     for hosts, places in ((asset.hosts, Places.OBJECT), (asset.scatterers, Places.MATCHING)):
         for host in dict.fromkeys(hosts):
-            _add_modifier(host, chain, fade_range, places)
+            _add_modifier(host, chain, fade_range, places, asset.tolerances.get(host, 0.0))
     if asset.empties:
         _add_placements(asset, chain, scene, fade_range)
     _raise_bounces(scene, estimate_transparent_bounces([item for item in chain.objects if item.type == "MESH"]))
     chain.collections[0].use_fake_user = False
 
 
-def _add_modifier(host: bpy.types.Object, chain: Chain, fade_range: float, places: Places) -> None:
+def _add_modifier(host: bpy.types.Object, chain: Chain, fade_range: float, places: Places, tolerance: float = 0.0) -> None:
+    """Show levels of an object, or of its instances whose bounding box differs from that of the asset by less than `tolerance`."""
     modifier = host.modifiers.new(f"{MODIFIER}: {chain.name}"[:63], "NODES")
     modifier.node_group = ensure_level_switch(len(chain.collections), places)
     modifier.show_expanded = False
     center = 0.5 * (chain.low + chain.high)
     values = {"Center": center.tolist(), "Radius": float(np.linalg.norm(chain.high - center)), "Fade Range": fade_range}
     if places is Places.MATCHING:
-        values |= {"Low": chain.low.tolist(), "High": chain.high.tolist()}
+        values |= {"Low": chain.low.tolist(), "High": chain.high.tolist(), "Tolerance": tolerance}
     for number, (collection, size) in enumerate(zip(chain.collections, chain.pixel_sizes, strict=True)):
         values |= {f"Level {number}": collection, f"Pixel Size {number}": size}
     for name, value in values.items():
