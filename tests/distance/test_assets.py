@@ -3,8 +3,8 @@
 import bpy
 import numpy as np
 import pytest
-from distance_scenes import add_box, add_camera, add_scatter, attach_levels, shown
 
+from distance_scenes import add_box, add_camera, add_scatter, attach_levels, shown
 from farfield.addon.bridge.distance.assets import Asset, AssetSearch, visible_objects
 
 pytestmark = pytest.mark.usefixtures("empty_scene")

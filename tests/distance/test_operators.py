@@ -4,14 +4,14 @@ from functools import partial
 
 import bpy
 import pytest
-from distance_scenes import add_box, add_camera, add_scatter, describe_file, rendered, shown
 
+from distance_scenes import add_box, add_camera, add_scatter, describe_file, rendered, shown
 from farfield.addon.bridge.distance.chains import read_chains
 from farfield.addon.bridge.distance.level_switch import level_modifiers
 from farfield.addon.core.billboards.settings import BillboardSettings
 from farfield.addon.core.distance.settings import DistanceSettings
-from farfield.addon.core.json_values import parse_json
 from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.json_values import parse_json
 from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.operators.distance import build as distance_build
 from farfield.addon.operators.distance.job import prepare
@@ -20,7 +20,7 @@ from textured_scenes import textured_ball
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 QUICK = {"min_triangles": 10, "billboard_cloud": False}
-ONLY_CLOUD = {"min_triangles": 10, "levels": False}
+ONLY_CLOUD = {"min_triangles": 10, "perceptual_levels": False}
 
 
 @pytest.fixture(autouse=True)

@@ -203,9 +203,7 @@ class AssetSearch:
         self.skipped.append(f"{name} ({reason})")
 
 
-def read_box(
-    objects: Sequence[bpy.types.Object], frame: mathutils.Matrix, depsgraph: bpy.types.Depsgraph
-) -> tuple[np.ndarray, np.ndarray]:
+def read_box(objects: Sequence[bpy.types.Object], frame: mathutils.Matrix, depsgraph: bpy.types.Depsgraph) -> tuple[np.ndarray, np.ndarray]:
     """Return the lowest and highest corner (3,) of the meshes of objects, in the space from which `frame` leads to the world. Blender's own
     bounding box is that of the cage if the mesh is subdivided."""
     corners, inverse = [], frame.inverted_safe()

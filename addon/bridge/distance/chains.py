@@ -101,8 +101,8 @@ def _read_chain(first: bpy.types.Collection) -> Chain | None:
         chain = Chain(str(figures["name"]), str(figures["fingerprint"]), collections, sizes, triangles, low, high)
     except (KeyError, TypeError, ValueError):
         return None
-    is_whole = len(sizes) == len(triangles) == len(collections) and all(collection.objects for collection in collections)
-    return chain if is_whole else None
+    is_complete = len(sizes) == len(triangles) == len(collections) and all(collection.objects for collection in collections)
+    return chain if is_complete else None
 
 
 def remove_unused_chains() -> None:

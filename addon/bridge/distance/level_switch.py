@@ -71,8 +71,16 @@ class Places(Enum):
 
 @dataclass(frozen=True)
 class View:
-    """What the active camera sees. position, direction: in world space. growth, constant: of the size of a pixel, see `lod_crossfade`.
-    diagonal: see `DIAGONAL`. is_viewport: whether no render is made."""
+    """What the active camera sees.
+
+    Attributes:
+        position: of the camera, in world space.
+        direction: in which it looks, in world space.
+        growth: of the size of a pixel per unit of distance, see `lod_crossfade`.
+        constant: size of a pixel at the camera.
+        diagonal: see `DIAGONAL`.
+        is_viewport: whether no render is made.
+    """
 
     position: bpy.types.NodeSocket
     direction: bpy.types.NodeSocket

@@ -23,5 +23,5 @@ class DistanceSettings(Settings):
         unit=Unit.FRACTION,
     )
     min_triangles: int = setting(500, "Objects with fewer triangles stay as they are", minimum=0, maximum=1_000_000_000)
-    levels: bool = setting(True, "Make perceptual levels, meshes with fewer triangles", label="Perceptual Levels")
+    perceptual_levels: bool = setting(True, "Make perceptual levels, meshes with fewer triangles")
     billboard_cloud: bool = setting(True, "Make a billboard cloud, a few quads with images of the original, for far away")

@@ -46,8 +46,8 @@ def build_chain(asset: Asset, fingerprint: str, settings: DistanceSettings, rema
     """Make the levels of an asset. What could not be made is added to `remarks`."""
     with temporary_scene() as scene:
         copies = [_copy_object(item, scene) for item in asset.objects]
-        fraction = LEVELS_FRACTION if settings.levels and settings.billboard_cloud else float(settings.levels)
-        if settings.levels:
+        fraction = LEVELS_FRACTION if settings.perceptual_levels and settings.billboard_cloud else float(settings.perceptual_levels)
+        if settings.perceptual_levels:
             yield from subprogress(_run(scene, lambda: _prepare_levels(copies), f'levels of "{asset.name}"', remarks), 0.0, fraction)
         if settings.billboard_cloud:
             yield from subprogress(_run(scene, lambda: _prepare_cloud(copies), f'cloud of "{asset.name}"', remarks), fraction, 1.0)

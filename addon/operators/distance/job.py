@@ -122,7 +122,7 @@ class DistanceJob:
         triangles = sum(asset.triangles * len(asset.matrices) for asset in assets)
         alone = [chain.name for chain, _, _ in self.chains if len(chain.collections) == 1]
         sentences = [
-            f"{format_count(len(ready), 'object')} at {format_count(places, 'place')} show levels by distance.",
+            f"Distance-ready: {format_count(len(ready), 'object')} at {format_count(places, 'place')}.",
             f"In full, all places have {triangles:,} triangles.",
             "" if read_scene_camera(scene) is not None else "Add a camera: without one, all places show the original.",
             f"No lighter levels were found for {quote_names(alone[:3])}." if alone else "",
@@ -138,7 +138,7 @@ def prepare(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], setting
     Raises:
         GeometryError: neither levels nor clouds are wanted, or there is no object.
     """
-    if not settings.levels and not settings.billboard_cloud:
+    if not settings.perceptual_levels and not settings.billboard_cloud:
         raise GeometryError("Neither Perceptual Levels nor Billboard Cloud is on; switch one on.")
     if not objects:
         raise GeometryError("There is no visible object with a surface; add one.")
