@@ -33,9 +33,10 @@ from lib import command_line, scene_files
 from lib.contact_sheet import write_png
 from lib.flip_metric import mean_flip
 
-MODEL = environment.ROOT.parent / "shared" / "data" / "trees" / "tree.glb"
+MODEL = environment.ROOT.parent / "shared" / "data" / "trees" / "leafy_tree.glb"
 RENDER = """
-import json, resource, sys, time
+import json, re, sys, time
+from pathlib import Path
 import bpy
 bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
 bpy.context.scene.cycles.seed = int(sys.argv[3])
@@ -43,7 +44,9 @@ bpy.context.scene.render.filepath = sys.argv[2]
 started, cpu = time.perf_counter(), time.process_time()
 bpy.ops.render.render(write_still=True)
 seconds = {"seconds": round(time.perf_counter() - started, 2), "cpu_seconds": round(time.process_time() - cpu, 2)}
-print(json.dumps({**seconds, "peak_memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0, 1)}))
+status = Path("/proc/self/status")  # Other counters include the memory of the process that started this one.
+peak = int(re.search(r"VmHWM:\\s+(\\d+) kB", status.read_text())[1]) if status.exists() else None
+print(json.dumps({**seconds, "peak_memory_mb": None if peak is None else round(peak * 1024e-6, 1)}))
 bpy.ops.wm.read_factory_settings(use_empty=True)
 """
 
@@ -77,14 +80,14 @@ def measure_scatter(given: Namespace) -> dict[str, Any]:
         images = {name: read_image(folder / f"{name}.png") for name in ("full", "levels", "noise")}
         flips = mean_flip([(images["full"], images["levels"]), (images["full"], images["noise"])])
         write_png(folder / "sheet.png", np.concatenate([images["full"], images["levels"]], axis=1))
-    ratios = {f"{key}_ratio": round(figures["levels"][key] / figures["full"][key], 3) for key in figures["full"]}
+    ratios = {f"{key}_ratio": round(figures["levels"][key] / value, 3) for key, value in figures["full"].items() if value}
     flip, noise = (None, None) if flips is None else (round(value, 4) for value in flips)
     chains = [describe_chain(*item) for item in job.chains]
     return {**figures, **ratios, "flip": flip, "flip_of_noise": noise, "build_seconds": seconds, "message": message, "chains": chains}
 
 
 def build_scene(model: Path, places: int, samples: int) -> None:
-    """Build a plane with instances of a model, scaled to a height of 5, up to a distance of 400 from a camera at eye level."""
+    """Build a plane with instances of a model, scaled to a height of 5, up to a distance of 400 from a camera at a height of 14."""
     scene_files.open_scene(model.absolute())
     scene = bpy.context.scene
     parts = [item for item in scene.objects if item.type == "MESH"]
@@ -109,9 +112,9 @@ def build_scene(model: Path, places: int, samples: int) -> None:
 
 
 def scatter_points(places: int) -> np.ndarray:
-    """Return positions (N, 3) in the view of the camera, uniform on the ground between the distances 8 and 400."""
+    """Return positions (N, 3) in the view of the camera, uniform on the ground between the distances 20 and 400."""
     random = np.random.default_rng(0)
-    distances = np.sqrt(random.uniform(8.0**2, 400.0**2, places))
+    distances = np.sqrt(random.uniform(20.0**2, 400.0**2, places))
     angles = random.uniform(-0.5, 0.5, places)
     return np.column_stack([distances * np.sin(angles), distances * np.cos(angles), 0.0 * distances])
 
@@ -147,14 +150,14 @@ def add_surroundings(scene: bpy.types.Scene, samples: int) -> None:
     sun = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", "SUN"))
     sun.data.energy, sun.rotation_euler = 4.0, (0.9, 0.0, 0.7)
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
-    camera.location, camera.rotation_euler, camera.data.clip_end = (0.0, 0.0, 4.0), (0.49 * np.pi, 0.0, 0.0), 2000.0
+    camera.location, camera.rotation_euler, camera.data.clip_end = (0.0, 0.0, 14.0), (0.46 * np.pi, 0.0, 0.0), 2000.0
     for item in (sun, camera):
         scene.collection.objects.link(item)
     scene.camera, scene.world = camera, bpy.data.worlds.new("Sky")
     scene.world.use_nodes = True
     scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.35, 0.5, 0.8, 1.0)
     scene.render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", samples, False
-    scene.render.resolution_x, scene.render.resolution_y = 960, 540
+    scene.render.resolution_x, scene.render.resolution_y = 800, 450
     scene.view_settings.view_transform = "Standard"
 
 

@@ -75,15 +75,19 @@ def add_scatter(points: Sequence[Sequence[float]], kinds: Sequence[bpy.types.Obj
     return item
 
 
-def attach_levels(objects: Sequence[bpy.types.Object], fade_range: float = 0.0) -> list[Chain]:
-    """Attach chains of three boxes, "<name> 0" to "<name> 2", to the assets that `objects` show."""
+def attach_levels(objects: Sequence[bpy.types.Object], fade_range: float = 0.0, scales: Sequence[float] = (1.0, 1.0, 1.0)) -> list[Chain]:
+    """Attach chains of three boxes, "<name> 0" to "<name> 2", to the assets that `objects` show.
+
+    scales: of the objects of the levels, whose meshes have the inverse scale.
+    """
     scene = bpy.context.scene
     bpy.context.view_layer.update()
     chains = []
     for asset in AssetSearch(scene, bpy.context.evaluated_depsgraph_get()).find(objects):
-        levels = [
-            NewLevel([(add_box(f"{asset.name} {number}", linked=False), mathutils.Matrix())], size, 12) for number, size in enumerate(SIZES)
-        ]
+        levels = []
+        for number, (size, scale) in enumerate(zip(SIZES, scales, strict=True)):
+            box = add_box(f"{asset.name} {number}", size=0.5 / scale, linked=False)
+            levels.append(NewLevel([(box, mathutils.Matrix.Scale(scale, 4))], size, 12))
         chains.append(create_chain(asset.name, "", levels, (asset.low, asset.high), fade_range))
         attach_chain(asset, chains[-1], scene, fade_range)
     bpy.context.view_layer.update()

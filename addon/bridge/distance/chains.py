@@ -73,7 +73,7 @@ def create_chain(name: str, fingerprint: str, levels: Sequence[NewLevel], box: t
             item[KIND] = CHAIN
             collection.objects.link(item)
             if fade_range and len(levels) > 1:
-                lod_crossfade.add_crossfade(item, level.pixel_size if number else lod_crossfade.MIN_PIXEL, end, fade_range)
+                lod_crossfade.set_limits(item, level.pixel_size if number else lod_crossfade.MIN_PIXEL, end, fade_range)
         if number:
             collections[number - 1][NEXT_LEVEL] = collection
     sizes, triangles = [level.pixel_size for level in levels], [level.triangles for level in levels]

@@ -10,12 +10,13 @@ from enum import Enum
 
 import bpy
 
-from ..lod_crossfade import ALWAYS_SHOWN, CONSTANT, GROWTH, INSTANCE_SCALE, PIXELS, SCENE_PATHS
+from ..lod_crossfade import ALWAYS_SHOWN, CONSTANT, FADES, GROWTH, INSTANCE_CAMERA, INSTANCE_PIXEL, PIXELS, SCENE_PATHS
 from ..shading.node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
 
 NAME, VERSION = "Farfield Levels by Distance", 1
 VIEW_NAME, VIEW_VERSION = "Farfield Active Camera", 1
 TREE = "GeometryNodeTree"
+SEPARATION = 1e-5  # Of the distance, by which levels that fade are moved apart: where surfaces coincide, Cycles misses one of them.
 TINY_BOX = 1e-20  # Size of the bounding box of an instance that has only other instances.
 MAX_NESTING = 4  # Levels of instances of instances, such as of a collection with collections.
 MARGIN = 0.1  # Radians around the image, for motion blur and shifted lenses.
@@ -123,15 +124,20 @@ def _fill(builder: GeometryBuilder, count: int, places: Places) -> None:
         captured, local = _capture(builder, geometry, matrix, "INSTANCE")
         points = builder.call("GeometryNodeInstancesToPoints", {0: captured}).outputs[0]
         to_world = builder.call("FunctionNodeMatrixMultiply", {0: to_world, 1: local}).outputs[0]
-    size, always, conditions = _choose(builder, given, view, to_world, count)
+    pixel, shift, conditions = _choose(builder, given, view, to_world, count)
+    to_local = builder.call("FunctionNodeInvertMatrix", {0: own.outputs["Transform"]}).outputs[0]
+    shift = builder.call("FunctionNodeTransformDirection", {0: shift, 1: to_local}).outputs[0]
     join = builder.node("GeometryNodeJoinGeometry")
     for number, is_shown in enumerate(conditions):
         level = builder.call("GeometryNodeCollectionInfo", {0: given[f"Level {number}"]}).outputs[0]
         part = builder.call("GeometryNodeInstanceOnPoints", {0: points, 1: is_shown, 2: level}).outputs[0]
         if local is not None:
             part = builder.call("GeometryNodeSetInstanceTransform", {0: part, 2: local}).outputs[0]
-        for name, value in ((ALWAYS_SHOWN, always), (INSTANCE_SCALE, size)):
-            properties = {"domain": "INSTANCE", "data_type": "FLOAT"}
+        if number:
+            inputs = {0: part, "Translation": builder.vector("SCALE", shift, float(number)), "Local Space": False}
+            part = builder.call("GeometryNodeTranslateInstances", inputs).outputs[0]
+        for name, value in ((INSTANCE_CAMERA, view.position), (INSTANCE_PIXEL, pixel)):
+            properties = {"domain": "INSTANCE", "data_type": "FLOAT_VECTOR"}
             part = builder.call("GeometryNodeStoreNamedAttribute", {0: part, "Name": name, "Value": value}, properties).outputs[0]
         builder.tree.links.new(part, join.inputs[0])
     if rest is not None:
@@ -170,7 +176,8 @@ def _has_bounds(builder: GeometryBuilder, given: bpy.types.bpy_prop_collection) 
 def _choose(
     builder: GeometryBuilder, given: bpy.types.bpy_prop_collection, view: View, to_world: bpy.types.NodeSocket, count: int
 ) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket, list[bpy.types.NodeSocket]]:
-    """Return the scale of each place, where levels do not fade, as 0 or 1, and for each level where it is instanced."""
+    """Return the attribute `INSTANCE_PIXEL` of each place, how far each level is moved in world space with respect to the one before, and
+    for each level where it is instanced."""
     axes = builder.vector("ABSOLUTE", builder.call("FunctionNodeSeparateTransform", {0: to_world}).outputs[2])
     scale = builder.math("MULTIPLY", builder.vector("LENGTH", axes), 3.0**-0.5)
     center = builder.transform_point(given["Center"], to_world)
@@ -189,7 +196,9 @@ def _choose(
     is_exact = builder.boolean("OR", view.is_viewport, builder.less(given["Fade Range"], 1e-6))
     factor = builder.math("ADD", given["Fade Range"], 1.0)
     is_fading = builder.boolean("AND", is_seen, builder.boolean("NOT", is_exact))
-    always = builder.switch(is_fading, 1.0, 0.0, "FLOAT")
+    state = builder.switch(is_fading, ALWAYS_SHOWN, FADES, "FLOAT")
+    safe_scale = builder.math("MAXIMUM", scale, 1e-20)
+    pixel = builder.combine(builder.math("DIVIDE", view.growth, safe_scale), builder.math("DIVIDE", view.constant, safe_scale), state)
     found = []
     for number in range(count):
         start = given[f"Pixel Size {number}"]
@@ -203,7 +212,7 @@ def _choose(
         if is_shown is None:
             is_shown = builder.boolean("NOT", builder.less(view.growth, -1.0))
         found.append(builder.switch(is_seen, number == count - 1, is_shown, "BOOLEAN"))
-    return scale, always, found
+    return pixel, builder.vector("SCALE", offset, builder.switch(is_fading, 0.0, SEPARATION, "FLOAT")), found
 
 
 def _is_seen(

@@ -115,8 +115,8 @@ class NodeBuilder:
         return node.outputs["Vector"]
 
     def instance_attribute(self, name: str) -> bpy.types.NodeSocket:
-        """Return the attribute `name` of the shaded instance as a number, 0 without it."""
-        return self.node("ShaderNodeAttribute", {"attribute_type": "INSTANCER", "attribute_name": name}).outputs["Fac"]
+        """Return the attribute `name` of the shaded instance as a vector, 0 without it."""
+        return self.node("ShaderNodeAttribute", {"attribute_type": "INSTANCER", "attribute_name": name, "label": name}).outputs["Vector"]
 
     def transform(self, point: SocketOrValue, matrix: np.ndarray) -> bpy.types.NodeSocket:
         """Transform `point` by an affine `matrix` (4, 4)."""
