@@ -24,6 +24,7 @@ import benchmark_cli
 import bpy
 import numpy as np
 
+from farfield.addon.bridge.distance.placing import clean_up, detach
 from farfield.addon.bridge.geometry.mesh_arrays import read_positions
 from farfield.addon.core.distance.settings import DistanceSettings
 from farfield.addon.core.jobs.progress import run_to_end
@@ -68,13 +69,17 @@ def measure_scatter(given: Namespace) -> dict[str, Any]:
         folder = Path(temporary) if given.sheets is None else given.sheets.absolute()
         folder.mkdir(parents=True, exist_ok=True)
         build_scene(given.model, given.places, given.samples)
-        bpy.ops.wm.save_as_mainfile(filepath=str(folder / "full.blend"))
         started = time.perf_counter()
         scene = bpy.context.scene
         job = prepare(scene, [scene.objects["Scatter"]], DistanceSettings(max_error=given.max_error))
         message = run_to_end(run_job(job))
         seconds = round(time.perf_counter() - started, 1)
+        bounces = scene.cycles.transparent_max_bounces  # Full geometry gets as many, or its stacked leaves would be black and cheaper.
         bpy.ops.wm.save_as_mainfile(filepath=str(folder / "levels.blend"))
+        detach([scene.objects["Scatter"]])
+        clean_up(scene)
+        scene.cycles.transparent_max_bounces = bounces
+        bpy.ops.wm.save_as_mainfile(filepath=str(folder / "full.blend"))
         figures = {name: render(folder / f"{name}.blend", folder / f"{name}.png", 0) for name in ("full", "levels")}
         render(folder / "full.blend", folder / "noise.png", 1)
         images = {name: read_image(folder / f"{name}.png") for name in ("full", "levels", "noise")}
@@ -83,7 +88,16 @@ def measure_scatter(given: Namespace) -> dict[str, Any]:
     ratios = {f"{key}_ratio": round(figures["levels"][key] / value, 3) for key, value in figures["full"].items() if value}
     flip, noise = (None, None) if flips is None else (round(value, 4) for value in flips)
     chains = [describe_chain(*item) for item in job.chains]
-    return {**figures, **ratios, "flip": flip, "flip_of_noise": noise, "build_seconds": seconds, "message": message, "chains": chains}
+    return {
+        **figures,
+        **ratios,
+        "flip": flip,
+        "flip_of_noise": noise,
+        "build_seconds": seconds,
+        "bounces": bounces,
+        "message": message,
+        "chains": chains,
+    }
 
 
 def build_scene(model: Path, places: int, samples: int) -> None:

@@ -15,6 +15,8 @@ from .chains import HOST, Chain, remove_unused_chains
 from .level_switch import NAME, TREE, VIEW_NAME, GeometryBuilder, Places, ensure_level_switch, level_modifiers
 
 MODIFIER = "Farfield Distance"
+QUADS = "farfield_quads"  # Property of the levels of billboard clouds.
+MIN_FADE_BOUNCES = 16  # Transparent surfaces of two levels that fade, one behind the other.
 PLACES_NAME, PLACES_VERSION = "Farfield Places", 1
 PLACES = "farfield_places"  # Property of the object that shows the levels of empties: the collection of these.
 INSTANCE_TYPE = "farfield_instance_type"  # Property of an empty that levels stand for.
@@ -28,7 +30,8 @@ def attach_chain(asset: Asset, chain: Chain, scene: bpy.types.Scene, fade_range:
             _add_modifier(host, chain, fade_range, places, asset.tolerances.get(host, 0.0))
     if asset.empties:
         _add_placements(asset, chain, scene, fade_range)
-    _raise_bounces(scene, estimate_transparent_bounces([item for item in chain.objects if item.type == "MESH"]))
+    quads = [item for item in chain.objects if QUADS in item]
+    _raise_bounces(scene, max(MIN_FADE_BOUNCES if fade_range else 0, estimate_transparent_bounces(quads) if quads else 0))
     chain.collections[0].use_fake_user = False
 
 
@@ -83,6 +86,14 @@ def _raise_bounces(scene: bpy.types.Scene, bounces: int) -> None:
         ensure_transparent_bounces(scene, bounces)
         if scene.cycles.transparent_max_bounces != before:
             scene[BOUNCES] = [scene.get(BOUNCES, [before])[0], scene.cycles.transparent_max_bounces]
+
+
+def describe_bounces(scene: bpy.types.Scene) -> str:
+    """Return a sentence if levels have raised the limit of transparent bounces, which changes how stacked transparent surfaces look."""
+    if BOUNCES not in scene:
+        return ""
+    before, after = scene[BOUNCES]
+    return f"Max Transparent Bounces of Cycles was raised from {before} to {after}, with which stacked leaves of originals may be brighter."
 
 
 def find_hosts(objects: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:

@@ -11,7 +11,7 @@ from ...bridge.cameras import read_scene_camera
 from ...bridge.distance.assets import Asset, AssetSearch
 from ...bridge.distance.chains import Chain, read_chains
 from ...bridge.distance.fingerprints import fingerprint
-from ...bridge.distance.placing import attach_chain, clean_up, detach, originals_shown, with_placements
+from ...bridge.distance.placing import attach_chain, clean_up, describe_bounces, detach, originals_shown, with_placements
 from ...bridge.objects import find_by_uid
 from ...core.distance.settings import DistanceSettings
 from ...core.errors import GeometryError
@@ -126,6 +126,7 @@ class DistanceJob:
             f"In full, all places have {triangles:,} triangles.",
             "" if read_scene_camera(scene) is not None else "Add a camera: without one, all places show the original.",
             f"No lighter levels were found for {quote_names(alone[:3])}." if alone else "",
+            describe_bounces(scene),
             *self.remarks,
             f"Skipped: {list_first(self.skipped)}." if self.skipped else "",
         ]
