@@ -7,6 +7,7 @@ from ..bridge.distance.chains import Chain, read_chains
 from ..bridge.distance.placing import find_hosts, shows_levels
 from ..core.distance.settings import DistanceSettings
 from ..core.json_values import parse_json
+from ..core.messages import format_count
 from ..core.settings import describe
 from ..operators.distance.operators import (
     FARFIELD_OT_distance_analyze,
@@ -17,7 +18,7 @@ from ..operators.distance.operators import (
 )
 from .sidebar import SettingsPanel, SidebarPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, draw_table
 
-PLAN_TITLES = ("Object", "Places", "Triangles", "Distance", "")
+PLAN_TITLES = ("Object", "Triangles", "Nearest")
 LEVEL_TITLES = ("Level", "Triangles", "From")
 MAX_ROWS = 8
 
@@ -74,10 +75,12 @@ def draw_plans(layout: bpy.types.UILayout, analysis: str) -> None:
     plans = parse_json(analysis) if analysis else []
     rows = []
     for plan in plans[:MAX_ROWS]:
-        distances = f"{plan['nearest']:.3g} to {plan['farthest']:.3g}" if plan["places"] > 1 else f"{plan['nearest']:.3g}"
-        rows.append((plan["name"], f"{plan['places']:,}", f"{plan['triangles']:,}", distances, plan["outcome"]))
+        name = f"{plan['places']:,} x {plan['name']}" if plan["places"] > 1 else plan["name"]
+        rows.append((name, f"{plan['triangles']:,}", f"{plan['nearest']:,.1f}"))
     if rows:
         draw_table(layout, PLAN_TITLES, rows)
+        count = sum(plan["outcome"] != "stays" for plan in plans)
+        layout.label(text=f"{count:,} of {format_count(len(plans), 'object')} would get levels")
     if len(plans) > MAX_ROWS:
         layout.label(text=f"and {len(plans) - MAX_ROWS:,} more")
 
