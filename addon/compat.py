@@ -37,3 +37,18 @@ def enable_nodes(owner: bpy.types.Material | bpy.types.World) -> None:
 def image_paint_settings(tools: bpy.types.ToolSettings) -> bpy.types.UnifiedPaintSettings:
     """Return the settings that all brushes share when images are painted; from Blender 5 on, each kind of painting has its own."""
     return tools.image_paint.unified_paint_settings if bpy.app.version >= (5, 0, 0) else tools.unified_paint_settings
+
+
+def set_node_input(modifier: bpy.types.NodesModifier, name: str, value: object) -> None:
+    """Set the input `name` of the node group of a Geometry Nodes modifier. From Blender 5.2 on, inputs are no custom properties."""
+    identifier = modifier.node_group.interface.items_tree[name].identifier
+    if bpy.app.version >= (5, 2, 0):
+        getattr(modifier.properties.inputs, identifier).value = value
+    else:
+        modifier[identifier] = value
+
+
+def get_node_input(modifier: bpy.types.NodesModifier, name: str) -> object:
+    """Return the input `name` of the node group of a Geometry Nodes modifier."""
+    identifier = modifier.node_group.interface.items_tree[name].identifier
+    return getattr(modifier.properties.inputs, identifier).value if bpy.app.version >= (5, 2, 0) else modifier[identifier]

@@ -10,6 +10,7 @@ from .operators.btf import exports as btf_exports
 from .operators.btf import operators as btf_operators
 from .operators.clipbox import convert_to_mesh as clipbox_convert
 from .operators.clipbox import operators as clipbox_operators
+from .operators.distance import operators as distance_operators
 from .operators.packages import operators as packages_operators
 from .operators.photos import import_cameras as photos_import
 from .operators.photos import operators as photos_operators
@@ -28,6 +29,7 @@ from .panels import bdam as bdam_panels
 from .panels import billboards as billboards_panels
 from .panels import btf as btf_panels
 from .panels import clipbox as clipbox_panels
+from .panels import distance as distance_panels
 from .panels import menus
 from .panels import packages as packages_panels
 from .panels import photos as photos_panels
@@ -62,6 +64,8 @@ MODULES = (
     bdam_ground,
     bdam_freeze,
     bdam_build,
+    distance_operators,
+    distance_panels,  # The first panel of the tab.
     billboards_panels,
     btf_panels,
     unwrap_panels,

@@ -30,13 +30,14 @@ MAY_IMPORT = {  # the layers, lowest first
     "panels": {"panels", "operators", "bridge", "compat", "core"},
     "registration": {"panels", "operators", "bridge", "compat", "core"},
 }
-TOOLS = {"billboards", "btf", "unwrap", "photos", "restore", "texmesh", "packages", "bdam", "clipbox"}
+TOOLS = {"billboards", "btf", "unwrap", "photos", "restore", "texmesh", "packages", "bdam", "clipbox", "distance"}
 TOOLS_MAY_IMPORT = {
     "photos": {"restore", "unwrap"},
     "btf": {"billboards"},
     "packages": {"texmesh"},
     "texmesh": {"billboards"},
     "billboards": {"texmesh"},
+    "distance": {"billboards", "texmesh"},
 }
 LAST_NETS = {  # may catch Exception
     *("addon/operators/error_reports.py", "addon/operators/long_work.py", "scripts/lib/command_line.py"),

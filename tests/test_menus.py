@@ -60,5 +60,5 @@ def test_the_menu_of_objects_has_operators_of_all_tools_for_objects():
     layout = Layout()
     menus.FARFIELD_MT_object.draw(type("Menu", (), {"layout": layout})(), bpy.context)
     tools = {name.removeprefix("farfield.").partition("_")[0] for name, _, _ in layout.entries}
-    assert tools == {"texmesh", "billboards", "btf", "photos", "unwrap", "bdam", "clipbox"}
+    assert tools == {"distance", "texmesh", "billboards", "btf", "photos", "unwrap", "bdam", "clipbox"}
     assert all(describe(name).name for name, _, _ in layout.entries)

@@ -43,6 +43,10 @@ def test_operators(empty_scene, capsys):
     assert "Sphere Cloud L0" in capsys.readouterr().out
 
 
+def test_levels_from_near_to_far():
+    assert run("distance")["levels"] == [(0, 0.0), (1, 0.005), (2, 0.015), (4, 0.1)]
+
+
 def test_a_box_as_a_library_user_builds_it():
     level = run("billboards")["cloud"].levels[0]
     assert len(level.quads) == 6

@@ -6,7 +6,7 @@ from pathlib import Path
 import bpy
 
 ROOT = Path(__file__).resolve().parents[2]
-TOOLS = ("billboards", "btf", "unwrap", "photos", "restore", "texmesh", "packages", "bdam", "clipbox")
+TOOLS = ("distance", "billboards", "btf", "unwrap", "photos", "restore", "texmesh", "packages", "bdam", "clipbox")
 
 
 @cache  # panels ask on every redraw

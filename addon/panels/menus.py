@@ -27,7 +27,8 @@ class FARFIELD_MT_object(bpy.types.Menu):
 
 
 OF_OBJECTS = (
-    Entry("texmesh_levels", "MOD_DECIM"),
+    Entry("distance_build", "MOD_DECIM"),
+    Entry("texmesh_levels", "MESH_ICOSPHERE"),
     Entry("billboards_build", "OUTLINER_OB_POINTCLOUD"),
     Entry("btf_bake", "RENDER_STILL"),
     Entry("photos_merge", "IMAGE_DATA"),

@@ -114,6 +114,10 @@ class NodeBuilder:
         node = self.node("ShaderNodeAttribute", {"attribute_type": "OBJECT", "attribute_name": name, "label": name})
         return node.outputs["Vector"]
 
+    def instance_attribute(self, name: str) -> bpy.types.NodeSocket:
+        """Return the attribute `name` of the shaded instance as a vector, 0 without it."""
+        return self.node("ShaderNodeAttribute", {"attribute_type": "INSTANCER", "attribute_name": name, "label": name}).outputs["Vector"]
+
     def transform(self, point: SocketOrValue, matrix: np.ndarray) -> bpy.types.NodeSocket:
         """Transform `point` by an affine `matrix` (4, 4)."""
         rows = [self.math("ADD", self.vector("DOT_PRODUCT", point, row[:3].tolist()), float(row[3])) for row in matrix[:3]]
@@ -167,9 +171,9 @@ def nodes_in(tree: bpy.types.NodeTree, muted: bool = True) -> Iterator[bpy.types
                 yield from nodes_in(node.node_tree, muted)
 
 
-def create_group(name: str, inputs: Sockets, outputs: Sockets) -> bpy.types.NodeTree:
-    """Create an empty group of shader nodes."""
-    group = bpy.data.node_groups.new(name, "ShaderNodeTree")
+def create_group(name: str, inputs: Sockets, outputs: Sockets, tree_type: str = "ShaderNodeTree") -> bpy.types.NodeTree:
+    """Create an empty group of nodes."""
+    group = bpy.data.node_groups.new(name, tree_type)
     for direction, sockets in (("INPUT", inputs), ("OUTPUT", outputs)):
         for socket, socket_type in sockets:
             group.interface.new_socket(socket, in_out=direction, socket_type=f"NodeSocket{socket_type}")
@@ -177,14 +181,21 @@ def create_group(name: str, inputs: Sockets, outputs: Sockets) -> bpy.types.Node
 
 
 def ensure_shared_group(
-    name: str, version: int, inputs: Sockets, outputs: Sockets, fill: Callable[[NodeBuilder], None], variant: str = ""
+    name: str,
+    version: int,
+    inputs: Sockets,
+    outputs: Sockets,
+    fill: Callable[[NodeBuilder], None],
+    variant: str = "",
+    tree_type: str = "ShaderNodeTree",
 ) -> bpy.types.NodeTree:
-    """Return the group of this name, version and `variant` that all materials of the file share; create it with `fill` if there is none."""
+    """Return the group of this name, version and `variant` that all materials or modifiers of the file share; create it with `fill` if
+    there is none."""
     for group in bpy.data.node_groups:
         is_same = group.get("farfield_version") == version and group.get("farfield_variant", "") == variant
         if is_same and group.name.startswith(name) and group.library is None:
             return group
-    group = create_group(name, inputs, outputs)
+    group = create_group(name, inputs, outputs, tree_type)
     group["farfield_version"] = version
     if variant:
         group["farfield_variant"] = variant

@@ -1,0 +1,270 @@
+"""Node groups that show each object, and each instance, as the level of detail that its distance to the active camera requires.
+
+They need no extension: geometry nodes read the active camera, and drivers its lens and the resolution. A level is instanced only where it
+shows, so renders load only levels that are needed. The levels' materials cross-fade for each camera ray, see `lod_crossfade`; while two
+levels fade into each other, both are instanced. What the camera does not see is the coarsest level, for its shadow and reflections.
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+
+import bpy
+
+from ..lod_crossfade import ALWAYS_SHOWN, CONSTANT, FADES, GROWTH, INSTANCE_CAMERA, INSTANCE_PIXEL, PIXELS, SCENE_PATHS
+from ..shading.node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
+
+NAME, VERSION = "Farfield Levels by Distance", 1
+VIEW_NAME, VIEW_VERSION = "Farfield Active Camera", 1
+TREE = "GeometryNodeTree"
+SEPARATION = 1e-5  # Of the distance, by which levels that fade are moved apart: where surfaces coincide, Cycles misses one of them.
+TINY_BOX = 1e-20  # Size of the bounding box of an instance that has only other instances.
+MAX_NESTING = 4  # Levels of instances of instances, such as of a collection with collections.
+MARGIN = 0.1  # Radians around the image, for motion blur and shifted lenses.
+# The tangent of the angle between the view direction and the corners of the image; as large as possible where everything may be seen.
+DIAGONAL = f"1e6 if t!=0 else tan(a/2)/{PIXELS}*hypot(x,y)*p/100+hypot(i,j)*2*tan(a/2)"
+VIEW_VALUES = {"Growth": GROWTH, "Constant": CONSTANT, "Diagonal": DIAGONAL}
+VIEW_PATHS = SCENE_PATHS | {"i": "camera.data.shift_x", "j": "camera.data.shift_y"}
+
+
+class GeometryBuilder(NodeBuilder):
+    """Adds geometry nodes to one tree."""
+
+    def call(self, node_type: str, inputs: dict[str | int, object], properties: dict[str, object] | None = None) -> bpy.types.Node:
+        """Add a node and set or connect some of its inputs, by name or index."""
+        node = self.node(node_type, properties or {})
+        for key, value in inputs.items():
+            if isinstance(value, bpy.types.NodeSocket):
+                self.tree.links.new(value, node.inputs[key])
+            else:
+                node.inputs[key].default_value = value
+        return node
+
+    def boolean(self, operation: str, first: SocketOrValue, second: SocketOrValue = True) -> bpy.types.NodeSocket:
+        """Return "AND", "OR" or "NOT" of one or two conditions."""
+        node = self.call("FunctionNodeBooleanMath", {0: first}, {"operation": operation})
+        if operation != "NOT":
+            self.tree.links.new(second, node.inputs[1]) if isinstance(second, bpy.types.NodeSocket) else setattr(
+                node.inputs[1], "default_value", second
+            )
+        return node.outputs[0]
+
+    def switch(self, condition: SocketOrValue, if_false: object, if_true: object, input_type: str) -> bpy.types.NodeSocket:
+        """Return one of two values."""
+        return self.call("GeometryNodeSwitch", {0: condition, 1: if_false, 2: if_true}, {"input_type": input_type}).outputs[0]
+
+    def less(self, first: SocketOrValue, second: SocketOrValue) -> bpy.types.NodeSocket:
+        """Return whether a number is smaller than another one."""
+        return self.call("FunctionNodeCompare", {0: first, 1: second}, {"data_type": "FLOAT", "operation": "LESS_THAN"}).outputs[0]
+
+    def transform_point(self, point: SocketOrValue, matrix: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+        """Transform a point by a matrix."""
+        return self.call("FunctionNodeTransformPoint", {0: point, 1: matrix}).outputs[0]
+
+
+class Places(Enum):
+    """Where an asset is: OBJECT where the modified object is, which it replaces; MATCHING at those instances in its geometry whose bounding
+    box is that of the asset, others stay as they are; ALL at all of its instances."""
+
+    OBJECT = "Object"
+    MATCHING = "Instances"
+    ALL = "Places"
+
+
+@dataclass(frozen=True)
+class View:
+    """What the active camera sees.
+
+    Attributes:
+        position: of the camera, in world space.
+        direction: in which it looks, in world space.
+        growth: of the size of a pixel per unit of distance, see `lod_crossfade`.
+        constant: size of a pixel at the camera.
+        diagonal: see `DIAGONAL`.
+        is_viewport: whether no render is made.
+    """
+
+    position: bpy.types.NodeSocket
+    direction: bpy.types.NodeSocket
+    growth: bpy.types.NodeSocket
+    constant: bpy.types.NodeSocket
+    diagonal: bpy.types.NodeSocket
+    is_viewport: bpy.types.NodeSocket
+
+
+def ensure_level_switch(count: int, places: Places) -> bpy.types.NodeTree:
+    """Return the node group that shows one of `count` levels, each a collection, at the `places` of an asset."""
+    sockets = [("Geometry", "Geometry"), ("Center", "Vector"), ("Radius", "Float"), ("Fade Range", "Float")]
+    sockets += [("Low", "Vector"), ("High", "Vector"), ("Tolerance", "Float")] if places is Places.MATCHING else []
+    for number in range(count):
+        sockets += [(f"Level {number}", "Collection"), (f"Pixel Size {number}", "Float")]
+
+    def fill(builder: NodeBuilder) -> None:
+        _fill(GeometryBuilder(builder.tree), count, places)
+
+    name = f"{NAME}: {count} of {places.value}"
+    return ensure_shared_group(name, VERSION, sockets, [("Geometry", "Geometry")], fill, f"{places.value} {count}", TREE)
+
+
+def _fill(builder: GeometryBuilder, count: int, places: Places) -> None:
+    given, result = builder.node("NodeGroupInput").outputs, builder.node("NodeGroupOutput").inputs[0]
+    geometry = given["Geometry"]
+    view_node = builder.call("GeometryNodeGroup", {}, {"node_tree": _ensure_view()})
+    view = View(*view_node.outputs[:6])
+    own = builder.call("GeometryNodeObjectInfo", {"Object": builder.node("GeometryNodeSelfObject").outputs[0]})
+    to_world, local, rest = own.outputs["Transform"], None, None
+    if places is Places.OBJECT:
+        points = builder.call("GeometryNodePoints", {0: 1}).outputs[0]
+    else:
+        if places is Places.MATCHING:
+            geometry = _flatten(builder, geometry)
+            is_asset = _has_bounds(builder, given)
+            separated = builder.call("GeometryNodeSeparateGeometry", {0: geometry, 1: is_asset}, {"domain": "INSTANCE"})
+            geometry, rest = separated.outputs
+        matrix = builder.node("GeometryNodeInstanceTransform").outputs[0]
+        captured, local = _capture(builder, geometry, matrix, "INSTANCE")
+        points = builder.call("GeometryNodeInstancesToPoints", {0: captured}).outputs[0]
+        to_world = builder.call("FunctionNodeMatrixMultiply", {0: to_world, 1: local}).outputs[0]
+    pixel, shift, conditions = _choose(builder, given, view, to_world, count)
+    to_local = builder.call("FunctionNodeInvertMatrix", {0: own.outputs["Transform"]}).outputs[0]
+    shift = builder.call("FunctionNodeTransformDirection", {0: shift, 1: to_local}).outputs[0]
+    join = builder.node("GeometryNodeJoinGeometry")
+    for number, is_shown in enumerate(conditions):
+        level = builder.call("GeometryNodeCollectionInfo", {0: given[f"Level {number}"]}).outputs[0]
+        part = builder.call("GeometryNodeInstanceOnPoints", {0: points, 1: is_shown, 2: level}).outputs[0]
+        if local is not None:
+            part = builder.call("GeometryNodeSetInstanceTransform", {0: part, 2: local}).outputs[0]
+        if number:
+            inputs = {0: part, "Translation": builder.vector("SCALE", shift, float(number)), "Local Space": False}
+            part = builder.call("GeometryNodeTranslateInstances", inputs).outputs[0]
+        for name, value in ((INSTANCE_CAMERA, view.position), (INSTANCE_PIXEL, pixel)):
+            properties = {"domain": "INSTANCE", "data_type": "FLOAT_VECTOR"}
+            part = builder.call("GeometryNodeStoreNamedAttribute", {0: part, "Name": name, "Value": value}, properties).outputs[0]
+        builder.tree.links.new(part, join.inputs[0])
+    if rest is not None:
+        builder.tree.links.new(rest, join.inputs[0])
+    builder.tree.links.new(join.outputs[0], result)
+
+
+def _capture(
+    builder: GeometryBuilder, geometry: bpy.types.NodeSocket, matrix: bpy.types.NodeSocket, domain: str
+) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]:
+    """Return the geometry with a matrix that its points keep, and that matrix."""
+    node = builder.node("GeometryNodeCaptureAttribute", {"domain": domain})
+    node.capture_items.new("MATRIX", "Transform")
+    builder.tree.links.new(geometry, node.inputs[0])
+    builder.tree.links.new(matrix, node.inputs["Transform"])
+    return node.outputs[0], node.outputs["Transform"]
+
+
+def _flatten(builder: GeometryBuilder, geometry: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+    """Return the geometry with the instances in its nested instances, in place of these, which are those without a bounding box."""
+    for _ in range(MAX_NESTING):
+        bounds = builder.node("GeometryNodeInputInstanceBounds")
+        size = builder.vector("LENGTH", builder.vector("SUBTRACT", *(bounds.outputs[index] for index in (1, 0))))
+        inputs = {0: geometry, "Selection": builder.less(size, TINY_BOX), "Realize All": False, "Depth": 1}
+        geometry = builder.call("GeometryNodeRealizeInstances", inputs).outputs[0]
+    return geometry
+
+
+def _has_bounds(builder: GeometryBuilder, given: bpy.types.bpy_prop_collection) -> bpy.types.NodeSocket:
+    """Return whether an instance has the bounding box of the asset: geometry nodes of Blender before 5.2 cannot tell what it refers to."""
+    bounds = builder.node("GeometryNodeInputInstanceBounds").outputs
+    offsets = [builder.vector("SUBTRACT", bounds[index], given[name]) for index, name in enumerate(("Low", "High"))]
+    return builder.less(builder.math("ADD", *(builder.vector("LENGTH", offset) for offset in offsets)), given["Tolerance"])
+
+
+def _choose(
+    builder: GeometryBuilder, given: bpy.types.bpy_prop_collection, view: View, to_world: bpy.types.NodeSocket, count: int
+) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket, list[bpy.types.NodeSocket]]:
+    """Return the attribute `INSTANCE_PIXEL` of each place, how far each level is moved in world space with respect to the one before, and
+    for each level where it is instanced."""
+    axes = builder.vector("ABSOLUTE", builder.call("FunctionNodeSeparateTransform", {0: to_world}).outputs[2])
+    scale = builder.math("MULTIPLY", builder.vector("LENGTH", axes), 3.0**-0.5)
+    center = builder.transform_point(given["Center"], to_world)
+    largest = builder.math("MAXIMUM", builder.math("MAXIMUM", *(builder.separate(axes)[:2])), builder.separate(axes)[2])
+    radius = builder.math("MULTIPLY", given["Radius"], largest)
+    offset = builder.vector("SUBTRACT", center, view.position)
+    distance = builder.vector("LENGTH", offset)
+
+    def pixel_size(at: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+        size = builder.math("MULTIPLY_ADD", builder.math("MAXIMUM", at, 0.0), view.growth)
+        builder.tree.links.new(view.constant, size.node.inputs[2])
+        return builder.math("DIVIDE", size, builder.math("MAXIMUM", scale, 1e-20))
+
+    nearest, farthest = (pixel_size(builder.math(operation, distance, radius)) for operation in ("SUBTRACT", "ADD"))
+    is_seen = _is_seen(builder, view, offset, distance, radius)
+    is_exact = builder.boolean("OR", view.is_viewport, builder.less(given["Fade Range"], 1e-6))
+    factor = builder.math("ADD", given["Fade Range"], 1.0)
+    is_fading = builder.boolean("AND", is_seen, builder.boolean("NOT", is_exact))
+    state = builder.switch(is_fading, ALWAYS_SHOWN, FADES, "FLOAT")
+    safe_scale = builder.math("MAXIMUM", scale, 1e-20)
+    pixel = builder.combine(builder.math("DIVIDE", view.growth, safe_scale), builder.math("DIVIDE", view.constant, safe_scale), state)
+    found = []
+    for number in range(count):
+        start = given[f"Pixel Size {number}"]
+        is_begun = builder.less(start, builder.switch(is_exact, farthest, nearest, "FLOAT")) if number else None
+        is_shown = is_begun
+        if number < count - 1:
+            end = given[f"Pixel Size {number + 1}"]
+            end = builder.switch(is_exact, builder.math("MULTIPLY", end, factor), end, "FLOAT")
+            is_left = builder.boolean("NOT", builder.less(end, nearest))
+            is_shown = is_left if is_shown is None else builder.boolean("AND", is_shown, is_left)
+        if is_shown is None:
+            is_shown = builder.boolean("NOT", builder.less(view.growth, -1.0))
+        found.append(builder.switch(is_seen, number == count - 1, is_shown, "BOOLEAN"))
+    return pixel, builder.vector("SCALE", offset, builder.switch(is_fading, 0.0, SEPARATION, "FLOAT")), found
+
+
+def _is_seen(
+    builder: GeometryBuilder,
+    view: View,
+    offset: bpy.types.NodeSocket,
+    distance: bpy.types.NodeSocket,
+    radius: bpy.types.NodeSocket,
+) -> bpy.types.NodeSocket:
+    """Return whether a bounding sphere is within a cone around the image of the camera, or the camera within the sphere."""
+    along = builder.vector("DOT_PRODUCT", offset, view.direction)
+    safe = builder.math("MAXIMUM", distance, 1e-20)
+    angle = builder.math("ARCCOSINE", builder.math("DIVIDE", along, safe))
+    half = builder.math("ARCSINE", builder.math("MINIMUM", builder.math("DIVIDE", radius, safe), 1.0))
+    limit = builder.math("ADD", builder.math("ADD", builder.math("ARCTANGENT", view.diagonal), half), MARGIN)
+    is_all_seen = builder.boolean("OR", builder.less(1e5, view.diagonal), builder.less(view.diagonal, 1e-9))  # It is 0 without a camera.
+    is_inside = builder.less(distance, radius)
+    return builder.boolean("OR", builder.boolean("OR", builder.less(angle, limit), is_inside), is_all_seen)
+
+
+def _ensure_view() -> bpy.types.NodeTree:
+    """Return the node group whose outputs are the fields of `View`."""
+    outputs = [("Position", "Vector"), ("Direction", "Vector"), ("Growth", "Float"), ("Constant", "Float"), ("Diagonal", "Float")]
+    return ensure_shared_group(VIEW_NAME, VIEW_VERSION, [], [*outputs, ("Is Viewport", "Bool")], _fill_view, tree_type=TREE)
+
+
+def _fill_view(builder: NodeBuilder) -> None:
+    builder = GeometryBuilder(builder.tree)
+    camera = builder.node("GeometryNodeInputActiveCamera").outputs[0]
+    info = builder.call("GeometryNodeObjectInfo", {"Object": camera})
+    rotate = builder.call("FunctionNodeRotateVector", {0: (0.0, 0.0, -1.0), 1: info.outputs["Rotation"]})
+    values = [info.outputs["Location"], rotate.outputs[0]]
+    for name, expression in VIEW_VALUES.items():
+        node = builder.node("ShaderNodeValue", {"name": name, "label": name})
+        driver = node.outputs[0].driver_add("default_value").driver
+        driver.type = "SCRIPTED"
+        for key, path in VIEW_PATHS.items():
+            variable = driver.variables.new()
+            variable.name, variable.type = key, "CONTEXT_PROP"
+            variable.targets[0].context_property, variable.targets[0].data_path = "ACTIVE_SCENE", path
+        driver.expression = expression
+        values.append(node.outputs[0])
+    values.append(builder.node("GeometryNodeIsViewport").outputs[0])
+    output = builder.node("NodeGroupOutput")
+    for value, target in zip(values, output.inputs, strict=False):
+        builder.tree.links.new(value, target)
+
+
+def level_modifiers(item: bpy.types.Object) -> list[bpy.types.NodesModifier]:
+    """Return the modifiers of an object that show levels by distance."""
+    return [
+        modifier
+        for modifier in item.modifiers
+        if modifier.type == "NODES" and modifier.node_group is not None and modifier.node_group.name.startswith(NAME)
+    ]

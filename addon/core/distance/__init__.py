@@ -1,0 +1,9 @@
+"""Levels of detail of an object from near to far: which of its simplified meshes and billboard clouds show at which distances.
+
+`choose_levels` selects them from all candidates; `combine_levels` gives candidates of several objects that switch together.
+"""
+
+from .levels import LevelCandidate, choose_levels, combine_levels
+from .settings import DistanceSettings
+
+__all__ = ["DistanceSettings", "LevelCandidate", "choose_levels", "combine_levels"]

@@ -1,0 +1,46 @@
+"""Which candidates become the levels of an object, and when each shows.
+
+A level shows where a pixel is larger than its pixel size. The original has the pixel size 0.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+MAX_TRIANGLES_RATIO = 0.75  # Of a level to the level before; one that saves less is not worth a switch.
+
+
+@dataclass(frozen=True)
+class LevelCandidate:
+    """triangles: their number. pixel_size: of the pixels above which it looks like the original, a length in units of the object."""
+
+    triangles: int
+    pixel_size: float
+
+
+def choose_levels(candidates: Sequence[LevelCandidate], max_error: float) -> list[tuple[int, float]]:
+    """Return the indices of the candidates that become levels, finest first, and the pixel size above which each shows.
+
+    The first level is the original, the candidate with the pixel size 0. Each further one has at most `MAX_TRIANGLES_RATIO` times the
+    triangles of the level before.
+
+    max_error: size in pixels of what a level may leave out.
+    """
+    chosen: list[tuple[int, float]] = []
+    for index in sorted(range(len(candidates)), key=lambda index: (candidates[index].pixel_size, candidates[index].triangles)):
+        candidate = candidates[index]
+        if not chosen or candidate.triangles <= MAX_TRIANGLES_RATIO * candidates[chosen[-1][0]].triangles:
+            chosen.append((index, candidate.pixel_size / max_error))
+    return chosen
+
+
+def combine_levels(parts: Sequence[Sequence[LevelCandidate]]) -> list[tuple[LevelCandidate, tuple[int, ...]]]:
+    """Return candidates for several objects that switch together, and the index of the level of each object in them.
+
+    parts: the candidates of each object in the same unit, finest first, of which the first is the original.
+    """
+    combined = []
+    for pixel_size in sorted({level.pixel_size for levels in parts for level in levels}):
+        indices = tuple(max(index for index, level in enumerate(levels) if level.pixel_size <= pixel_size) for levels in parts)
+        triangles = sum(levels[index].triangles for levels, index in zip(parts, indices, strict=True))
+        combined.append((LevelCandidate(triangles, pixel_size), indices))
+    return combined

@@ -1,0 +1,175 @@
+"""The job of the operator and the script: make the levels of all assets of a scene, and show them by distance."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ...bridge.cameras import read_scene_camera
+from ...bridge.distance.assets import Asset, AssetSearch
+from ...bridge.distance.chains import Chain, read_chains
+from ...bridge.distance.fingerprints import fingerprint
+from ...bridge.distance.placing import attach_chain, clean_up, describe_bounces, detach, originals_shown, with_placements
+from ...bridge.objects import find_by_uid
+from ...core.distance.settings import DistanceSettings
+from ...core.errors import GeometryError
+from ...core.jobs.progress import Progress, Steps, subprogress
+from ...core.messages import format_count, join_sentences, list_first, quote_names
+from .build import build_chain
+
+ATTACH_FRACTION = 0.98
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is done with an asset.
+
+    Attributes:
+        name: of the asset.
+        places: their number.
+        triangles: at all places together.
+        nearest, farthest: distance of a place from the active camera; 0 without a camera.
+        outcome: what is done, or why nothing is.
+    """
+
+    name: str
+    places: int
+    triangles: int
+    nearest: float
+    farthest: float
+    outcome: str
+
+
+@dataclass
+class DistanceJob:
+    """Makes levels and shows them by distance.
+
+    Attributes:
+        scene_uid: the scene.
+        object_uids: the objects that are made ready.
+        settings: of the levels.
+        skipped: names of what is left out with the reason.
+        chains: the levels of each asset, the number of its places, and whether they were found rather than made.
+        remarks: sentences about what could not be made.
+    """
+
+    core_fraction = 0.0
+
+    scene_uid: int
+    object_uids: list[int]
+    settings: DistanceSettings
+    skipped: list[str] = field(default_factory=list)
+    chains: list[tuple[Chain, int, bool]] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+
+    def core_steps(self) -> Steps[None]:
+        """Do nothing: levels are made one asset after the other, each with renders of its own."""
+        yield Progress(0.0, "Reading the scene")
+
+    def scene_steps(self, _core_result: None) -> Steps[str]:
+        """Make the levels that are not there yet, then add all modifiers at once. Levels that are finished when the job is cancelled stay
+        in the file, and the next run uses them.
+
+        Raises:
+            GeometryError: nothing can be made ready, or an object or the scene was removed meanwhile.
+        """
+        scene = find_by_uid(bpy.data.scenes, self.scene_uid)
+        uids = set(self.object_uids)
+        objects = [item for item in bpy.data.objects if item.session_uid in uids]
+        if scene is None or len(objects) < len(uids):
+            raise GeometryError("The scene or an object was removed; start again.")
+        view_layer = bpy.context.view_layer if bpy.context.scene == scene else scene.view_layers[0]
+        with originals_shown(scene, view_layer) as depsgraph:
+            assets = self._find_assets(scene, objects, depsgraph)
+            keys = [fingerprint(asset, depsgraph, self.settings) for asset in assets]
+        known = {chain.fingerprint: chain for chain in read_chains()}
+        reused = set(known)
+        work = np.cumsum([0.0, *(float(asset.triangles) ** 0.5 * (key not in known) for asset, key in zip(assets, keys, strict=True))])
+        fractions = (ATTACH_FRACTION * work / max(work[-1], 1e-9)).tolist()
+        for index, (asset, key) in enumerate(zip(assets, keys, strict=True)):
+            if key not in known:
+                prefix = f"{asset.name} ({index + 1} of {len(assets)}): "
+                steps = build_chain(asset, key, self.settings, self.remarks)
+                known[key] = yield from subprogress(steps, *fractions[index : index + 2], prefix)
+        yield Progress(ATTACH_FRACTION, "Adding modifiers")
+        self._attach(scene, objects, [(asset, known[key]) for asset, key in zip(assets, keys, strict=True)])
+        self.chains = [(known[key], len(asset.matrices), key in reused) for asset, key in zip(assets, keys, strict=True)]
+        return self._summary(scene, assets)
+
+    def _find_assets(self, scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> list[Asset]:
+        search = AssetSearch(scene, depsgraph)
+        found = search.find(objects)
+        self.skipped += search.skipped
+        heavy = [asset for asset in found if asset.triangles >= self.settings.min_triangles]
+        if not heavy:
+            small = f"{format_count(len(found), 'object')} with too few triangles" if found else ""
+            reasons = "; ".join(filter(None, [small, list_first(self.skipped)])) or "there is no object with a surface"
+            raise GeometryError(f"Nothing to make ready: {reasons}. Select other objects, or lower Min Triangles.")
+        return heavy
+
+    def _attach(self, scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], found: Sequence[tuple[Asset, Chain]]) -> None:
+        detach(with_placements(scene, objects))
+        for asset, chain in found:
+            if len(chain.collections) > 1:
+                attach_chain(asset, chain, scene, self.settings.fade_range)
+        clean_up(scene)
+
+    def _summary(self, scene: bpy.types.Scene, assets: Sequence[Asset]) -> str:
+        ready = [chain for chain, _, _ in self.chains if len(chain.collections) > 1]
+        places = sum(count for chain, count, _ in self.chains if len(chain.collections) > 1)
+        triangles = sum(asset.triangles * len(asset.matrices) for asset in assets)
+        alone = [chain.name for chain, _, _ in self.chains if len(chain.collections) == 1]
+        sentences = [
+            f"Distance-ready: {format_count(len(ready), 'object')} at {format_count(places, 'place')}.",
+            f"In full, all places have {triangles:,} triangles.",
+            "" if read_scene_camera(scene) is not None else "Add a camera: without one, all places show the original.",
+            f"No lighter levels were found for {quote_names(alone[:3])}." if alone else "",
+            describe_bounces(scene),
+            *self.remarks,
+            f"Skipped: {list_first(self.skipped)}." if self.skipped else "",
+        ]
+        return join_sentences(sentences)
+
+
+def prepare(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], settings: DistanceSettings) -> DistanceJob:
+    """Return the job that makes `objects` of a scene ready.
+
+    Raises:
+        GeometryError: neither levels nor clouds are wanted, or there is no object.
+    """
+    if not settings.perceptual_levels and not settings.billboard_cloud:
+        raise GeometryError("Neither Perceptual Levels nor Billboard Cloud is on; switch one on.")
+    if not objects:
+        raise GeometryError("There is no visible object with a surface; add one.")
+    objects = with_placements(scene, objects)
+    return DistanceJob(scene.session_uid, [item.session_uid for item in objects], settings)
+
+
+def analyze(
+    scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, objects: Sequence[bpy.types.Object], settings: DistanceSettings
+) -> tuple[list[Plan], list[str]]:
+    """Return what would be done with each asset of `objects`, heaviest first, and the names of what is left out with the reason."""
+    camera = read_scene_camera(scene)
+    with originals_shown(scene, view_layer) as depsgraph:
+        search = AssetSearch(scene, depsgraph)
+        assets = search.find(with_placements(scene, objects))
+        known = {chain.fingerprint for chain in read_chains()}
+        plans = []
+        for asset in assets:
+            outcome = "stays"
+            if asset.triangles >= settings.min_triangles:
+                outcome = "ready" if fingerprint(asset, depsgraph, settings) in known else "build"
+            distances = np.zeros(1)
+            if camera is not None:
+                distances = np.linalg.norm(asset.positions[0] - camera.position, axis=1)
+            total = asset.triangles * len(asset.matrices)
+            plans.append(Plan(asset.name, len(asset.matrices), total, float(distances.min()), float(distances.max()), outcome))
+    return sorted(plans, key=lambda plan: -plan.triangles), search.skipped
+
+
+def describe_chain(chain: Chain, places: int, is_reused: bool) -> dict[str, Any]:
+    """Return the figures of the levels of an asset for a report."""
+    levels = [{"triangles": count, "pixel_size": size} for count, size in zip(chain.triangles, chain.pixel_sizes, strict=True)]
+    return {"name": chain.name, "places": places, "reused": is_reused, "levels": levels}
