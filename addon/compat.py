@@ -46,9 +46,3 @@ def set_node_input(modifier: bpy.types.NodesModifier, name: str, value: object) 
         getattr(modifier.properties.inputs, identifier).value = value
     else:
         modifier[identifier] = value
-
-
-def get_node_input(modifier: bpy.types.NodesModifier, name: str) -> object:
-    """Return the input `name` of the node group of a Geometry Nodes modifier."""
-    identifier = modifier.node_group.interface.items_tree[name].identifier
-    return getattr(modifier.properties.inputs, identifier).value if bpy.app.version >= (5, 2, 0) else modifier[identifier]
