@@ -14,6 +14,7 @@ import bdam
 import billboards
 import btf
 import clipbox
+import distance
 import packages
 import photos
 import restore
@@ -33,6 +34,7 @@ COMMANDS = {
     "billboards": (billboards, None, []),
     "btf": (btf, None, []),
     "clipbox": (clipbox, None, ["--terrain", "heights", "--source", "{folder}/source.npy", "--source-color", "{folder}/color.png"]),
+    "distance": (distance, None, []),
     "photos": (photos, None, []),
     "restore": (restore, None, []),
     "texmesh levels": (texmesh, "levels", []),
@@ -65,7 +67,7 @@ def state_of(folder: Path) -> dict[str, bytes]:
 def arguments_with(command: str, folder: Path, paths: dict[str, Path]) -> list[str]:
     """Arguments of a command: `paths` by the names of arguments, and others for those that are required."""
     module, subcommand, more = COMMANDS[command]
-    arguments = ([] if subcommand is None else [subcommand]) + [text.format(folder=folder) for text in more]
+    positional, options = [] if subcommand is None else [subcommand], [text.format(folder=folder) for text in more]
     for action in module.build_parser().path_arguments(subcommand):
         name = argument_name(action)
         if name not in paths and not action.required:
@@ -73,8 +75,9 @@ def arguments_with(command: str, folder: Path, paths: dict[str, Path]) -> list[s
         kind = action.type
         suffix = "" if kind.is_folder else ".blend" if action.dest == "out" else ".png"
         default = folder / (f"new-{action.dest}{suffix}" if kind.is_output else "in.obj")
-        arguments += [*action.option_strings[:1], str(paths.get(name, default))]
-    return arguments + ([str(paths.get("the mask", "alpha"))] if command == "restore" else [])
+        given = options if action.option_strings else positional
+        given += [*action.option_strings[:1], str(paths.get(name, default))]
+    return [*positional, *([str(paths.get("the mask", "alpha"))] if command == "restore" else []), *options]
 
 
 def path_arguments(command: str) -> tuple[list, list]:
