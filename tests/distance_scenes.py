@@ -9,6 +9,7 @@ import numpy as np
 from farfield.addon.bridge.distance.assets import AssetSearch
 from farfield.addon.bridge.distance.chains import Chain, NewLevel, create_chain
 from farfield.addon.bridge.distance.placing import attach_chain
+from farfield.addon.compat import enable_nodes
 
 SIZES = [0.0, 0.02, 0.05]  # Of the pixels above which the levels show. With the camera of `add_camera`, 0.001 times the distance:
 DISTANCES = [0.0, 20.0, 50.0]
@@ -32,7 +33,7 @@ def add_box(name: str, location: Sequence[float] = (0.0, 0.0, 0.0), size: float 
     faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     mesh.from_pydata(0.5 * size * np.array(corners), [], faces)
     mesh.materials.append(bpy.data.materials.new(name))
-    mesh.materials[0].use_nodes = True
+    enable_nodes(mesh.materials[0])
     item = bpy.data.objects.new(name, mesh)
     item.location = location
     if linked:
