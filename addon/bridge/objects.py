@@ -44,7 +44,12 @@ def temporarily_visible(context: bpy.types.Context, objects: Sequence[bpy.types.
 
 def add_scene_driver(item: bpy.types.Object, name: str, index: int, expression: str, paths: dict[str, str]) -> None:
     """Drive one component of the custom property `name` by `expression`. `paths` maps its variables to data paths of the active scene."""
-    driver = _add_driver(item, name, index)
+    drive_by_scene(_add_driver(item, name, index), expression, paths)
+
+
+def drive_by_scene(driver: bpy.types.Driver, expression: str, paths: dict[str, str]) -> None:
+    """Let a new driver compute `expression`. `paths` maps its variables to data paths of the active scene."""
+    driver.type = "SCRIPTED"
     for key, path in paths.items():
         variable = driver.variables.new()
         variable.name, variable.type = key, "CONTEXT_PROP"

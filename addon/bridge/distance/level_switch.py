@@ -11,6 +11,7 @@ from enum import Enum
 import bpy
 
 from ..lod_crossfade import ALWAYS_SHOWN, CONSTANT, FADES, GROWTH, INSTANCE_CAMERA, INSTANCE_PIXEL, PIXELS, SCENE_PATHS
+from ..objects import drive_by_scene
 from ..shading.node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
 
 NAME, VERSION = "Farfield Levels by Distance", 1
@@ -41,12 +42,7 @@ class GeometryBuilder(NodeBuilder):
 
     def boolean(self, operation: str, first: SocketOrValue, second: SocketOrValue = True) -> bpy.types.NodeSocket:
         """Return "AND", "OR" or "NOT" of one or two conditions."""
-        node = self.call("FunctionNodeBooleanMath", {0: first}, {"operation": operation})
-        if operation != "NOT":
-            self.tree.links.new(second, node.inputs[1]) if isinstance(second, bpy.types.NodeSocket) else setattr(
-                node.inputs[1], "default_value", second
-            )
-        return node.outputs[0]
+        return self.call("FunctionNodeBooleanMath", {0: first, 1: second}, {"operation": operation}).outputs[0]
 
     def switch(self, condition: SocketOrValue, if_false: object, if_true: object, input_type: str) -> bpy.types.NodeSocket:
         """Return one of two values."""
@@ -121,7 +117,7 @@ def _fill(builder: GeometryBuilder, count: int, places: Places) -> None:
             separated = builder.call("GeometryNodeSeparateGeometry", {0: geometry, 1: is_asset}, {"domain": "INSTANCE"})
             geometry, rest = separated.outputs
         matrix = builder.node("GeometryNodeInstanceTransform").outputs[0]
-        captured, local = _capture(builder, geometry, matrix, "INSTANCE")
+        captured, local = _capture(builder, geometry, matrix)
         points = builder.call("GeometryNodeInstancesToPoints", {0: captured}).outputs[0]
         to_world = builder.call("FunctionNodeMatrixMultiply", {0: to_world, 1: local}).outputs[0]
     pixel, shift, conditions = _choose(builder, given, view, to_world, count)
@@ -146,10 +142,10 @@ def _fill(builder: GeometryBuilder, count: int, places: Places) -> None:
 
 
 def _capture(
-    builder: GeometryBuilder, geometry: bpy.types.NodeSocket, matrix: bpy.types.NodeSocket, domain: str
+    builder: GeometryBuilder, geometry: bpy.types.NodeSocket, matrix: bpy.types.NodeSocket
 ) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]:
-    """Return the geometry with a matrix that its points keep, and that matrix."""
-    node = builder.node("GeometryNodeCaptureAttribute", {"domain": domain})
+    """Return the instances with a matrix that their points keep, and that matrix."""
+    node = builder.node("GeometryNodeCaptureAttribute", {"domain": "INSTANCE"})
     node.capture_items.new("MATRIX", "Transform")
     builder.tree.links.new(geometry, node.inputs[0])
     builder.tree.links.new(matrix, node.inputs["Transform"])
@@ -201,16 +197,14 @@ def _choose(
     pixel = builder.combine(builder.math("DIVIDE", view.growth, safe_scale), builder.math("DIVIDE", view.constant, safe_scale), state)
     found = []
     for number in range(count):
-        start = given[f"Pixel Size {number}"]
-        is_begun = builder.less(start, builder.switch(is_exact, farthest, nearest, "FLOAT")) if number else None
-        is_shown = is_begun
+        is_shown: SocketOrValue = True
+        if number:
+            start = given[f"Pixel Size {number}"]
+            is_shown = builder.less(start, builder.switch(is_exact, farthest, nearest, "FLOAT"))
         if number < count - 1:
             end = given[f"Pixel Size {number + 1}"]
             end = builder.switch(is_exact, builder.math("MULTIPLY", end, factor), end, "FLOAT")
-            is_left = builder.boolean("NOT", builder.less(end, nearest))
-            is_shown = is_left if is_shown is None else builder.boolean("AND", is_shown, is_left)
-        if is_shown is None:
-            is_shown = builder.boolean("NOT", builder.less(view.growth, -1.0))
+            is_shown = builder.boolean("AND", builder.boolean("NOT", builder.less(end, nearest)), is_shown)
         found.append(builder.switch(is_seen, number == count - 1, is_shown, "BOOLEAN"))
     return pixel, builder.vector("SCALE", offset, builder.switch(is_fading, 0.0, SEPARATION, "FLOAT")), found
 
@@ -247,13 +241,7 @@ def _fill_view(builder: NodeBuilder) -> None:
     values = [info.outputs["Location"], rotate.outputs[0]]
     for name, expression in VIEW_VALUES.items():
         node = builder.node("ShaderNodeValue", {"name": name, "label": name})
-        driver = node.outputs[0].driver_add("default_value").driver
-        driver.type = "SCRIPTED"
-        for key, path in VIEW_PATHS.items():
-            variable = driver.variables.new()
-            variable.name, variable.type = key, "CONTEXT_PROP"
-            variable.targets[0].context_property, variable.targets[0].data_path = "ACTIVE_SCENE", path
-        driver.expression = expression
+        drive_by_scene(node.outputs[0].driver_add("default_value").driver, expression, VIEW_PATHS)
         values.append(node.outputs[0])
     values.append(builder.node("GeometryNodeIsViewport").outputs[0])
     output = builder.node("NodeGroupOutput")
