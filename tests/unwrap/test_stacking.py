@@ -110,7 +110,7 @@ def test_equal_parts_have_the_same_texels():
 def test_equal_islands_of_one_part_are_stacked():
     """The faces of a cube, for xatlas, and the strips to which they are joined otherwise."""
     strips, faces = unwrap_stacked(box(cuts=2)), unwrap_stacked(box(cuts=2), islands="atlas")
-    assert 2 * strips.stacked_count == strips.chart_count < 6 and (faces.chart_count, faces.stacked_count) == (6, 5)
+    assert (strips.chart_count, strips.stacked_count) == (4, 2) and (faces.chart_count, faces.stacked_count) == (6, 5)
     assert strips.metrics.overlaps == faces.metrics.overlaps == 0 and faces.metrics.fill > 0.95
 
 
