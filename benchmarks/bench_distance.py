@@ -55,7 +55,7 @@ bpy.ops.wm.read_factory_settings(use_empty=True)
 def main(arguments: list[str], _line: command_line.ProgressLine) -> str:
     """Run the benchmark and return one JSON object."""
     parser = benchmark_cli.build_parser("bench_distance.py", __doc__, PARTS)
-    parser.add_argument("--model", type=Path, default=MODEL, help="what is scattered, as one object")
+    parser.add_argument("--model", type=Path, default=MODEL, help="the model to scatter, as one object")
     parser.add_argument("--places", type=int, default=2000, help="number of instances")
     parser.add_argument("--samples", type=int, default=32, help="of the renders")
     parser.add_argument("--max-error", type=float, default=1.0, help="in pixels")

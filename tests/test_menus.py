@@ -10,7 +10,7 @@ pytestmark = pytest.mark.usefixtures("extension", "empty_scene")
 
 
 class Layout:
-    """A layout that records what is drawn. entries: identifier, text and properties of each operator; menus: of each sub-menu."""
+    """A layout that records its entries. entries: identifier, text and properties of each operator; menus: of each sub-menu."""
 
     def __init__(self):
         self.entries, self.menus = [], []

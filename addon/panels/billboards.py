@@ -7,6 +7,7 @@ import bpy
 from ..bridge import cameras
 from ..bridge.billboards.clouds import MESH_TRIANGLES
 from ..bridge.billboards.scene_clouds import SceneCloud, find_cloud
+from ..bridge.geometry.mesh_arrays import count_triangles
 from ..core.billboards.settings import BillboardSettings, BuildOptions, CrossfadeSettings
 from ..core.geometry.cameras import Camera
 from ..core.settings import describe
@@ -133,7 +134,7 @@ def draw_levels(layout: bpy.types.UILayout, cloud: SceneCloud, camera: Camera | 
     rows = []
     for index, level in enumerate(cloud.levels):
         distance = "-" if camera is None else format_distance(camera.switch_distance(level["farfield_error"]))
-        triangles = len(level.data.loops) - 2 * len(level.data.polygons)  # A polygon of C corners has C - 2.
+        triangles = count_triangles(level.data)
         in_meshes = level.get(MESH_TRIANGLES)
         counts = f"{triangles:,}", "-" if in_meshes is None else f"{in_meshes:,}", f"{level['farfield_quads']:,}"
         figures = *counts, format_megabytes(cloud.texture_bytes(index))

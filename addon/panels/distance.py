@@ -1,10 +1,10 @@
-"""Panel *Distance-Ready*, the first in the sidebar tab *Farfield*: what is heavy, and levels by distance for the scene."""
+"""Panel *Distance-Ready*, the first in the sidebar tab *Farfield*: the heaviest objects, and levels by distance for the scene."""
 
 import bpy
 
 from ..bridge import cameras
 from ..bridge.distance.chains import Chain, read_chains
-from ..bridge.distance.placing import find_hosts, shows_levels
+from ..bridge.distance.placing import has_levels, shows_levels
 from ..core.distance.settings import DistanceSettings
 from ..core.json_values import parse_json
 from ..core.messages import format_count
@@ -42,10 +42,9 @@ class FARFIELD_PT_distance(SettingsPanel, ToolPanel, bpy.types.Panel):
         layout.operator(FARFIELD_OT_distance_analyze.bl_idname, text="What Is Heavy?", icon="VIEWZOOM")
         draw_plans(layout, context.scene.farfield_distance.analysis)
         draw_button(layout, FARFIELD_OT_distance_build, "Make Distance-Ready", "MOD_DECIM")
-        hosts = find_hosts(context.scene.objects)
-        if hosts:
+        if has_levels(context.scene):
             column = layout.column(align=True)
-            is_original = not shows_levels(hosts)
+            is_original = not shows_levels(context.scene.objects)
             column.operator(FARFIELD_OT_distance_show_original.bl_idname, text="Show Originals", icon="MESH_DATA", depress=is_original)
             column.operator(FARFIELD_OT_distance_remove.bl_idname, text="Remove", icon="X")
 
@@ -61,7 +60,7 @@ class FARFIELD_PT_distance_levels(SidebarPanel, bpy.types.Panel):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Return whether an object of the scene shows levels."""
-        return bool(find_hosts(context.scene.objects))
+        return has_levels(context.scene)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw a table per object."""

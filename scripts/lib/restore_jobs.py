@@ -33,9 +33,13 @@ from lib.script_stdout import mute_stderr
 BAND_PREFIX = "high"  # Stages with this prefix have the mean 0 and are shown around middle gray.
 NORMAL_CHANNELS = 3
 INPUTS = {  # and names in messages
-    "image": "the image", "mask": "the mask", "source_mask": "--source-mask", "barriers": "--barriers", "maps": "--maps",
+    "image": "the image",
+    "mask": "the mask",
+    "source_mask": "--source-mask",
+    "barriers": "--barriers",
+    "maps": "--maps",
     "normals": "--normals",
-}  # fmt: skip
+}
 MASKS = {"mask": "mask", "source_mask": "source mask", "barriers": "barrier mask"}  # and names in messages
 OUTPUTS = {"out": "--out", "curve": "--curve", "maps_out": "--maps-out", "normals_out": "--normals-out"}
 

@@ -1,4 +1,4 @@
-"""Builds of small scenes: what is shown, found again, cancelled and removed."""
+"""Builds of small scenes: levels are shown, found again, cancelled and removed."""
 
 from functools import partial
 

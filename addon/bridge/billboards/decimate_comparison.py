@@ -19,7 +19,14 @@ from ...core.jobs.progress import Progress, Steps
 from ..cameras import light_matrix, set_camera_view
 from ..geometry.evaluated_mesh import EvaluatedMesh
 from ..geometry.joined_meshes import find_frame, join_instances
-from ..geometry.mesh_arrays import MAX_NORMAL_STEP, read_values, write_attribute, write_corner_normals, write_triangles
+from ..geometry.mesh_arrays import (
+    MAX_NORMAL_STEP,
+    count_triangles,
+    read_values,
+    write_attribute,
+    write_corner_normals,
+    write_triangles,
+)
 from ..geometry.meshes import Source, find_material
 from ..lod_sets import ERROR
 from ..objects import instances_lights
@@ -70,7 +77,7 @@ def compare_with_decimate(
         with work.show([*objects, *levels]):
             for index, level in enumerate(levels):
                 view_size = _find_size(source, level[ERROR])
-                count = len(level.data.loops) - 2 * len(level.data.polygons)
+                count = count_triangles(level.data)
                 if count >= total or view_size > MAX_PIXELS:
                     continue
                 yield Progress(index / len(levels), "Comparing with Decimate")

@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 
 from ...core.geometry.cameras import Camera, choose_level, distance_to_box
-from ...core.geometry.transforms import transform_points
+from ...core.geometry.transforms import mean_scale, transform_points
 from .. import lod_crossfade
 from ..geometry import meshes
 from ..lod_sets import ERROR, NUMBER, LodSet, set_hidden
@@ -99,7 +99,7 @@ class SceneCloud(LodSet):
                 source_objects.add_source_proxies(sources, self.collection, depsgraph)
         proxies = source_objects.find_source_proxies(self.collection)
         for item in proxies:
-            scale = np.linalg.norm(np.array(item.matrix_basis)[:3, :3]) / 3.0**0.5
+            scale = mean_scale(np.array(item.matrix_basis))
             lod_crossfade.add_crossfade(item, lod_crossfade.MIN_PIXEL, errors[0] / max(scale, 1e-12), fade_range)
         for index, level in enumerate(self.levels):
             start = errors[index] if proxies or index else lod_crossfade.MIN_PIXEL

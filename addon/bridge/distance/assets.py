@@ -10,8 +10,8 @@ import bpy
 import mathutils
 import numpy as np
 
-from ...core.geometry.transforms import is_invertible, transform_points
-from ..geometry.mesh_arrays import read_positions
+from ...core.geometry.transforms import is_invertible, mean_scale, transform_points
+from ..geometry.mesh_arrays import count_triangles, read_positions
 from ..geometry.meshes import is_collection_instance, may_have_surface
 from ..lod_sets import KIND
 from ..objects import world_matrix
@@ -60,7 +60,7 @@ class Asset:
 
     def measure(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Compute the number of triangles and the bounding box."""
-        self.triangles = sum(count_triangles(item.evaluated_get(depsgraph)) for item in self.objects)
+        self.triangles = sum(count_own_triangles(item.evaluated_get(depsgraph)) for item in self.objects)
         self.low, self.high = read_box(self.objects, self.frame, depsgraph)
 
     @property
@@ -68,11 +68,11 @@ class Asset:
         """The centers (N, 3) in world space, and the scales (N,), of all places."""
         matrices = np.array([np.array(matrix) for matrix in self.matrices])
         center = 0.5 * (self.low + self.high)
-        return matrices[:, :3, :3] @ center + matrices[:, :3, 3], np.linalg.norm(matrices[:, :3, :3], axis=(1, 2)) / 3.0**0.5
+        return matrices[:, :3, :3] @ center + matrices[:, :3, 3], mean_scale(matrices)
 
 
 class AssetSearch:
-    """Finds the assets that objects of a scene show. `skipped` has the names of what is left out, with the reason."""
+    """Finds the assets that objects of a scene show. `skipped` has the names of the objects that are left out, with the reason."""
 
     def __init__(self, scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
         self.skipped: list[str] = []
@@ -134,7 +134,7 @@ class AssetSearch:
                 asset.matrices += matrices
         if item in self._instanced.anonymous:
             self._skip(f"instances in {item.name}", "they are of no object")
-        if places or item in self._instanced.anonymous or not count_triangles(item.evaluated_get(self._depsgraph)):
+        if places or item in self._instanced.anonymous or not count_own_triangles(item.evaluated_get(self._depsgraph)):
             return
         reason = self._refuse_shape(item) or self._refuse_host(item)
         if reason:
@@ -215,10 +215,10 @@ def read_box(objects: Sequence[bpy.types.Object], frame: mathutils.Matrix, depsg
     return points.min(axis=0), points.max(axis=0)
 
 
-def count_triangles(evaluated: bpy.types.Object) -> int:
+def count_own_triangles(evaluated: bpy.types.Object) -> int:
     """Return the number of triangles of an evaluated object itself, without its instances."""
     geometry = evaluated.evaluated_geometry()  # It owns the mesh.
-    return 0 if geometry.mesh is None else len(geometry.mesh.loops) - 2 * len(geometry.mesh.polygons)
+    return 0 if geometry.mesh is None else count_triangles(geometry.mesh)
 
 
 def visible_objects(

@@ -7,7 +7,7 @@ import bpy
 import numpy as np
 
 from ...core.distance.settings import DistanceSettings
-from ..geometry.evaluated_mesh import read_evaluated_mesh
+from ..geometry.meshes import read_mesh
 from ..objects import world_matrix
 from ..shading.node_builder import nodes_in
 from .assets import Asset
@@ -23,12 +23,7 @@ def fingerprint(asset: Asset, depsgraph: bpy.types.Depsgraph, settings: Distance
     result.update(repr((VERSION, asset.name, values)).encode())
     inverse = asset.frame.inverted_safe()
     for item in asset.objects:
-        evaluated = item.evaluated_get(depsgraph)
-        data = evaluated.to_mesh(preserve_all_data_layers=True, depsgraph=depsgraph)
-        try:
-            mesh = read_evaluated_mesh(data, evaluated)
-        finally:
-            evaluated.to_mesh_clear()
+        mesh = read_mesh(item.evaluated_get(depsgraph), depsgraph)
         matrix = np.round(np.array(inverse @ world_matrix(item)), 5) + 0.0
         arrays = [matrix, mesh.vertices, mesh.triangles, mesh.normals, mesh.material_indices]
         arrays += [attribute.values for attribute in mesh.attributes.values()]

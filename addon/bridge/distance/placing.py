@@ -101,9 +101,14 @@ def find_hosts(objects: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:
     return [item for item in objects if level_modifiers(item)]
 
 
-def shows_levels(hosts: Sequence[bpy.types.Object]) -> bool:
-    """Return whether any of the objects that have levels shows them."""
-    return any(modifier.show_viewport for host in hosts for modifier in level_modifiers(host))
+def has_levels(scene: bpy.types.Scene) -> bool:
+    """Return whether an object of a scene shows levels by distance. Cheap enough for every redraw."""
+    return any(group.name.startswith(NAME) for group in bpy.data.node_groups) and any(map(level_modifiers, scene.objects))
+
+
+def shows_levels(objects: Iterable[bpy.types.Object]) -> bool:
+    """Return whether any of `objects` has levels and shows them."""
+    return any(modifier.show_viewport for item in objects for modifier in level_modifiers(item))
 
 
 def show_levels(scene: bpy.types.Scene, is_shown: bool) -> None:
@@ -122,8 +127,7 @@ def show_levels(scene: bpy.types.Scene, is_shown: bool) -> None:
 @contextmanager
 def originals_shown(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> Iterator[bpy.types.Depsgraph]:
     """Show the originals in place of their levels for a time, and yield the evaluated scene."""
-    hosts = find_hosts(scene.objects)
-    is_shown = shows_levels(hosts)
+    is_shown = shows_levels(scene.objects)
     try:
         if is_shown:
             show_levels(scene, False)
@@ -172,7 +176,7 @@ def clean_up(scene: bpy.types.Scene) -> None:
     remove_unused_chains()
     for name in (NAME, VIEW_NAME, PLACES_NAME):  # The first uses the second.
         bpy.data.batch_remove([group for group in bpy.data.node_groups if group.name.startswith(name) and group.users == 0])
-    if BOUNCES in scene and not find_hosts(scene.objects):
+    if BOUNCES in scene and not has_levels(scene):
         before, after = scene[BOUNCES]
         if scene.cycles.transparent_max_bounces == after:
             scene.cycles.transparent_max_bounces = before

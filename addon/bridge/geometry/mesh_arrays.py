@@ -34,6 +34,11 @@ def write_positions(mesh: bpy.types.Mesh, positions: np.ndarray) -> None:
     mesh.vertices.foreach_set("co", _flatten(positions))
 
 
+def count_triangles(mesh: bpy.types.Mesh) -> int:
+    """Return the number of triangles of a mesh: a polygon of C corners has C - 2."""
+    return len(mesh.loops) - 2 * len(mesh.polygons)
+
+
 def read_loop_vertices(mesh: bpy.types.Mesh) -> np.ndarray:
     """Return the vertex index (L,) int32 of every loop (face corner)."""
     return read_values(mesh.loops, "vertex_index", dtype=np.int32)

@@ -48,7 +48,7 @@ class PendingMeshes:
         fill_mesh(self.take(key), vertices, triangles, normals)
 
     def check(self) -> None:
-        """Check that all meshes are as they were filled, before anything is changed.
+        """Check that nobody has changed the filled meshes.
 
         Raises:
             GeometryError: one of them was removed, is used, or has the content of another time, as after undo.

@@ -263,7 +263,7 @@ def read_instances(objects: list[bpy.types.Object], depsgraph: bpy.types.Depsgra
     for owner, instance in visible_meshes(found_by_owner, depsgraph):
         key = instance.object.data.as_pointer() if instance.is_instance else instance.object.as_pointer()
         if key not in meshes:
-            meshes[key] = _read_mesh(instance.object, depsgraph)
+            meshes[key] = read_mesh(instance.object, depsgraph)
         if len(meshes[key].triangles):
             matrix = np.array(instance.matrix_world, np.float64)
             part = "" if _is_own_surface(owner, instance) else instance.object.name
@@ -283,7 +283,8 @@ def _is_own_surface(owner: bpy.types.Object, instance: bpy.types.DepsgraphObject
     return not instance.is_instance or is_converted
 
 
-def _read_mesh(evaluated: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> EvaluatedMesh:
+def read_mesh(evaluated: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> EvaluatedMesh:
+    """Read the surface of an evaluated object itself, without its instances."""
     if isinstance(evaluated.data, bpy.types.Mesh) and evaluated.mode != "EDIT":
         return read_evaluated_mesh(evaluated.data, evaluated)
     try:

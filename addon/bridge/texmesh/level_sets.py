@@ -3,7 +3,6 @@
 Level 0 is the source as it was evaluated. A level shows where a pixel is larger than its error, in units of the object.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,9 +11,10 @@ import mathutils
 import numpy as np
 
 from ...core.geometry.cameras import Camera, distance_to_box
-from ...core.geometry.transforms import transform_points
+from ...core.geometry.transforms import mean_scale, transform_points
 from .. import lod_crossfade
 from ..geometry.joined_meshes import find_frame
+from ..geometry.mesh_arrays import count_triangles
 from ..geometry.mesh_pool import is_local
 from ..imaging.images import find_images
 from ..lod_sets import ERROR, KIND, NUMBER, LodSet, set_hidden
@@ -119,7 +119,7 @@ class LevelSet(LodSet):
         level = self.levels[0]
         matrix = np.array(world_matrix(level), np.float64)
         corners = transform_points(matrix, level.bound_box)
-        return corners.min(axis=0), corners.max(axis=0), float(np.linalg.norm(matrix[:3, :3]) / math.sqrt(3.0)) or 1.0
+        return corners.min(axis=0), corners.max(axis=0), float(mean_scale(matrix)) or 1.0
 
 
 level_sets_in, find_level_set, read_level_set = LevelSet.in_scene, LevelSet.find, LevelSet.read
@@ -171,7 +171,7 @@ def add_level_set(
         else:
             item.matrix_world = mathutils.Matrix(placement.matrix.tolist())
         item[KIND], item[NUMBER], item[ERROR] = LEVEL, number, float(level.error)
-        item[SWITCH_DISTANCE], item[TRIANGLES] = float(level.switch_distance), len(level.mesh.loops) - 2 * len(level.mesh.polygons)
+        item[SWITCH_DISTANCE], item[TRIANGLES] = float(level.switch_distance), count_triangles(level.mesh)
         item[SURFACE_DISTANCE] = float(level.surface_distance)
         copy_render_properties(source, item)
         collection.objects.link(item)

@@ -14,6 +14,11 @@ def is_invertible(matrix: np.ndarray) -> bool:
     return bool(np.isfinite(matrix).all() and np.linalg.matrix_rank(matrix[:3, :3]) == 3)
 
 
+def mean_scale(matrix: np.ndarray) -> np.ndarray:
+    """Return the root mean square (...) of the lengths of the axes of affine matrices (..., 4, 4) or (..., 3, 3)."""
+    return np.linalg.norm(np.asarray(matrix, np.float64)[..., :3, :3], axis=(-2, -1)) / np.sqrt(3.0)
+
+
 def normalize(vectors: np.ndarray) -> np.ndarray:
     """Return `vectors` (..., N) with length 1; zero stays zero."""
     lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import bpy
 import mathutils
-import numpy as np
 
 from ...bridge.billboards import clouds
 from ...bridge.billboards.scene_clouds import SceneCloud, clouds_in
-from ...bridge.distance.assets import Asset, count_triangles
+from ...bridge.distance.assets import Asset, count_own_triangles
 from ...bridge.distance.chains import Chain, NewLevel, create_chain
 from ...bridge.distance.level_switch import level_modifiers
+from ...bridge.geometry.mesh_arrays import count_triangles
 from ...bridge.objects import world_matrix
 from ...bridge.rendering.render_properties import copy_render_properties
 from ...bridge.texmesh.level_sets import LevelSet, level_sets_in, remove_level_set
@@ -20,6 +20,7 @@ from ...core.billboards.settings import BillboardSettings, BuildOptions
 from ...core.distance.levels import LevelCandidate, choose_levels, combine_levels
 from ...core.distance.settings import DistanceSettings
 from ...core.errors import Cancelled, FarfieldError
+from ...core.geometry.transforms import mean_scale
 from ...core.jobs.progress import BackgroundThread, Progress, Steps, subprogress
 from ...core.texmesh.settings import SceneSettings, TexmeshSettings
 from ..billboards.job import prepare_job
@@ -141,17 +142,17 @@ def _in_scene(steps: Steps[object], context: dict[str, bpy.types.ID]) -> Steps[o
 def _read_part(asset: Asset, item: bpy.types.Object, copy: bpy.types.Object, sets: Sequence[LevelSet]) -> Part:
     """Return an object of an asset with its perceptual levels, if it has any."""
     inverse = asset.frame.inverted_safe()
-    unit = _mean_scale(asset.frame)
+    unit = mean_scale(asset.frame)
     meshes, candidates = [(item.data, inverse @ world_matrix(item))], []
     for levels in (levels for levels in sets if levels.source == copy):
         for level, error in zip(levels.levels, levels.errors, strict=True):
             world = world_matrix(level)
-            candidates.append(LevelCandidate(_count_triangles(level.data), error * _mean_scale(world) / unit))
+            candidates.append(LevelCandidate(count_triangles(level.data), error * mean_scale(world) / unit))
             if len(candidates) > 1:
                 meshes.append((level.data, inverse @ world))
     if not candidates:
         evaluated = copy.evaluated_get(copy.users_scene[0].view_layers[0].depsgraph)
-        candidates.append(LevelCandidate(count_triangles(evaluated), 0.0))
+        candidates.append(LevelCandidate(count_own_triangles(evaluated), 0.0))
     return Part(copy, meshes, candidates)
 
 
@@ -160,10 +161,10 @@ def _assemble(
 ) -> Chain:
     """Choose among the levels of all objects together and those of the cloud, and create the chain."""
     combined = combine_levels([part.candidates for part in parts])
-    inverse, unit = asset.frame.inverted_safe(), _mean_scale(asset.frame)
+    inverse, unit = asset.frame.inverted_safe(), mean_scale(asset.frame)
     quads = [(level, error / unit) for cloud in scene_clouds for level, error in zip(cloud.levels, cloud.errors, strict=True)]
     candidates = [candidate for candidate, _ in combined]
-    candidates += [LevelCandidate(_count_triangles(level.data), error) for level, error in quads]
+    candidates += [LevelCandidate(count_triangles(level.data), error) for level, error in quads]
     copies: dict[bpy.types.Material, bpy.types.Material] = {}
     levels = []
     for index, pixel_size in choose_levels(candidates, settings.max_error):
@@ -199,11 +200,3 @@ def _create_object(
             copies[material] = copies[material] or material.copy()
             slot.link, slot.material = "OBJECT", copies[material]
     return item, matrix
-
-
-def _mean_scale(matrix: mathutils.Matrix) -> float:
-    return float(np.linalg.norm(np.array(matrix.to_3x3())) / 3.0**0.5)
-
-
-def _count_triangles(mesh: bpy.types.Mesh) -> int:
-    return len(mesh.loops) - 2 * len(mesh.polygons)

@@ -24,14 +24,14 @@ ATTACH_FRACTION = 0.98
 
 @dataclass(frozen=True)
 class Plan:
-    """What is done with an asset.
+    """The work on an asset.
 
     Attributes:
         name: of the asset.
         places: their number.
         triangles: at all places together.
         nearest, farthest: distance of a place from the active camera; 0 without a camera.
-        outcome: what is done, or why nothing is.
+        outcome: "build", "ready" for levels that are found again, or "stays".
     """
 
     name: str
@@ -50,7 +50,7 @@ class DistanceJob:
         scene_uid: the scene.
         object_uids: the objects that are made ready.
         settings: of the levels.
-        skipped: names of what is left out with the reason.
+        skipped: names of the objects that are left out, with the reason.
         chains: the levels of each asset, the number of its places, and whether they were found rather than made.
         remarks: sentences about what could not be made.
     """
@@ -150,7 +150,7 @@ def prepare(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], setting
 def analyze(
     scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, objects: Sequence[bpy.types.Object], settings: DistanceSettings
 ) -> tuple[list[Plan], list[str]]:
-    """Return what would be done with each asset of `objects`, heaviest first, and the names of what is left out with the reason."""
+    """Return what would be done with each asset of `objects`, heaviest first, and the names of those that are left out, with the reason."""
     camera = read_scene_camera(scene)
     with originals_shown(scene, view_layer) as depsgraph:
         search = AssetSearch(scene, depsgraph)

@@ -6,7 +6,7 @@ from dataclasses import asdict
 import bpy
 
 from ...bridge.distance.assets import visible_objects
-from ...bridge.distance.placing import clean_up, detach, find_hosts, show_levels, shows_levels, with_placements
+from ...bridge.distance.placing import clean_up, detach, find_hosts, has_levels, show_levels, shows_levels, with_placements
 from ...core.distance.settings import DistanceSettings
 from ...core.messages import format_count, list_first
 from .. import long_work, properties, start_job
@@ -87,10 +87,8 @@ class LevelsOperator:
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Return whether the scene has levels that can be changed."""
-        reason = disabled_reason(context)
-        return long_work.poll_with_reason(
-            cls, reason or ("" if find_hosts(context.scene.objects) else "No object shows levels by distance")
-        )
+        missing = "" if has_levels(context.scene) else "No object shows levels by distance"
+        return long_work.poll_with_reason(cls, disabled_reason(context) or missing)
 
 
 class FARFIELD_OT_distance_show_original(LevelsOperator, bpy.types.Operator):
@@ -102,7 +100,7 @@ class FARFIELD_OT_distance_show_original(LevelsOperator, bpy.types.Operator):
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Show the others."""
-        show_levels(context.scene, not shows_levels(find_hosts(context.scene.objects)))
+        show_levels(context.scene, not shows_levels(context.scene.objects))
         return {"FINISHED"}
 
 
