@@ -40,9 +40,9 @@ class GeometryBuilder(NodeBuilder):
                 node.inputs[key].default_value = value
         return node
 
-    def boolean(self, operation: str, first: SocketOrValue, second: SocketOrValue = True) -> bpy.types.NodeSocket:
-        """Return "AND", "OR" or "NOT" of one or two conditions."""
-        return self.call("FunctionNodeBooleanMath", {0: first, 1: second}, {"operation": operation}).outputs[0]
+    def boolean(self, operation: str, *conditions: SocketOrValue) -> bpy.types.NodeSocket:
+        """Return "AND" or "OR" of two conditions, or "NOT" of one: from Blender 5.2, the node has no second input for that."""
+        return self.call("FunctionNodeBooleanMath", dict(enumerate(conditions)), {"operation": operation}).outputs[0]
 
     def switch(self, condition: SocketOrValue, if_false: object, if_true: object, input_type: str) -> bpy.types.NodeSocket:
         """Return one of two values."""
