@@ -96,10 +96,10 @@ def attach_levels(objects: Sequence[bpy.types.Object], fade_range: float = 0.0, 
 
 
 def list_instances(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[str, tuple[int, ...]]]:
-    """Yield the name and the position, in whole units, of each instance of a mesh."""
+    """Yield the name, whether it fades or not, and the position, in whole units, of each instance of a mesh."""
     for instance in depsgraph.object_instances:
         if instance.is_instance and instance.object.type == "MESH":
-            yield instance.object.name, tuple(round(value) for value in instance.matrix_world.translation)
+            yield instance.object.name.removesuffix(" Fading"), tuple(round(value) for value in instance.matrix_world.translation)
 
 
 def shown() -> list[tuple[str, tuple[int, ...]]]:

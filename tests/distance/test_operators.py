@@ -66,7 +66,9 @@ def test_perceptual_levels_of_an_object_and_its_linked_duplicate(camera):
     last = len(chain.collections) - 1
     assert shown() == rendered() == [("Ball Level 0", (0, 5, 0)), (f"Ball Level {last}", (0, 5000, 0))]
     first = chain.collections[0].objects[0]
-    assert first.data == ball.data and first.material_slots[0].material != ball.material_slots[0].material
+    assert first.data == ball.data and first.material_slots[0].material == ball.material_slots[0].material
+    fading = chain.fading[0].objects[0]
+    assert fading.data == ball.data and fading.material_slots[0].material != ball.material_slots[0].material
     assert bpy.ops.farfield.distance_remove() == {"FINISHED"}
     assert describe_file() == before
 

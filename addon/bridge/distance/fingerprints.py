@@ -12,7 +12,7 @@ from ..objects import world_matrix
 from ..shading.node_builder import nodes_in
 from .assets import Asset
 
-VERSION = 1  # Of the levels that are made; a change makes all levels again.
+VERSION = 2  # Of the levels that are made; a change makes all levels again.
 OF_PLACES = {"min_triangles"}  # Settings that concern which objects get levels, not the levels.
 
 

@@ -12,6 +12,7 @@ from ...bridge.billboards.scene_clouds import SceneCloud, clouds_in
 from ...bridge.distance.assets import Asset, count_own_triangles
 from ...bridge.distance.chains import Chain, NewLevel, create_chain
 from ...bridge.distance.level_switch import level_modifiers
+from ...bridge.distance.simplified_meshes import SimplifiedMesh, read_elements, simplify_foliage, simplify_solid
 from ...bridge.geometry.mesh_arrays import count_triangles
 from ...bridge.objects import world_matrix
 from ...bridge.rendering.render_properties import copy_render_properties
@@ -30,7 +31,25 @@ from ..texmesh.job import prepare_levels
 SCENE_NAME = "Farfield Build"
 CLOUD_LEVELS = 2
 POLL = 0.05  # Seconds between two looks at a thread.
-LEVELS_FRACTION = 0.5  # Of the work on an asset.
+SIMPLIFY_FRACTION, LEVELS_FRACTION = 0.1, 0.45  # Of the work on an asset.
+MAX_BASE_TRIANGLES = 10_000  # Of what perceptual levels and clouds are made of; more take minutes.
+
+
+@dataclass(frozen=True)
+class Simplified:
+    """An object of an asset, and what was made of it without its jobs.
+
+    Attributes:
+        copy: of the object.
+        base: object that perceptual levels and clouds are made of: `copy`, or a lighter one that looks like it from some distance.
+        levels: lighter meshes, finest first; the last one is that of `base`, if this is not `copy`.
+        is_foliage: whether the levels are all that the object needs.
+    """
+
+    copy: bpy.types.Object
+    base: bpy.types.Object
+    levels: list[SimplifiedMesh]
+    is_foliage: bool
 
 
 @dataclass(frozen=True)
@@ -45,16 +64,55 @@ class Part:
 
 def build_chain(asset: Asset, fingerprint: str, settings: DistanceSettings, remarks: list[str]) -> Steps[Chain]:
     """Make the levels of an asset. What could not be made is added to `remarks`."""
-    with temporary_scene() as scene:
-        copies = [_copy_object(item, scene) for item in asset.objects]
-        fraction = LEVELS_FRACTION if settings.perceptual_levels and settings.billboard_cloud else float(settings.perceptual_levels)
+    before = set(bpy.data.meshes)
+    try:
+        with temporary_scene() as scene:
+            copies = [_copy_object(item, scene) for item in asset.objects]
+            simplified = yield from subprogress(_simplify(copies, scene, settings), 0.0, SIMPLIFY_FRACTION)
+            solids = [item.base for item in simplified if not item.is_foliage]
+            makes_cloud = settings.billboard_cloud and len(solids) == len(simplified)
+            middle = SIMPLIFY_FRACTION + (LEVELS_FRACTION if makes_cloud else 1.0 - SIMPLIFY_FRACTION) * bool(solids)
+            if settings.perceptual_levels and solids:
+                steps = _run(scene, lambda: _prepare_levels(solids), f'levels of "{asset.name}"', remarks)
+                yield from subprogress(steps, SIMPLIFY_FRACTION, middle)
+            if makes_cloud:
+                yield from subprogress(_run(scene, lambda: _prepare_cloud(solids), f'cloud of "{asset.name}"', remarks), middle, 1.0)
+            yield Progress(1.0, "Creating levels")
+            parts = [_read_part(asset, *pair, level_sets_in(scene)) for pair in zip(asset.objects, simplified, strict=True)]
+            base_size = max(_base_size(asset, *pair) for pair in zip(asset.objects, simplified, strict=True))
+            return _assemble(asset, fingerprint, parts, clouds_in(scene), base_size, settings)
+    finally:
+        bpy.data.batch_remove([mesh for mesh in bpy.data.meshes if mesh not in before and not mesh.users])
+
+
+def _simplify(copies: Sequence[bpy.types.Object], scene: bpy.types.Scene, settings: DistanceSettings) -> Steps[list[Simplified]]:
+    """Return light meshes of foliage and of heavy objects, which would take minutes otherwise."""
+    found = []
+    scene.view_layers[0].update()
+    depsgraph = scene.view_layers[0].depsgraph
+    for index, copy in enumerate(copies):
+        span = index / len(copies), (index + 1) / len(copies)
+        yield Progress(span[0], "Reading the mesh")
+        item = Simplified(copy, copy, [], False)
         if settings.perceptual_levels:
-            yield from subprogress(_run(scene, lambda: _prepare_levels(copies), f'levels of "{asset.name}"', remarks), 0.0, fraction)
-        if settings.billboard_cloud:
-            yield from subprogress(_run(scene, lambda: _prepare_cloud(copies), f'cloud of "{asset.name}"', remarks), fraction, 1.0)
-        yield Progress(1.0, "Creating levels")
-        parts = [_read_part(asset, item, copy, level_sets_in(scene)) for item, copy in zip(asset.objects, copies, strict=True)]
-        return _assemble(asset, fingerprint, parts, clouds_in(scene), settings)
+            evaluated, elements = read_elements(copy, depsgraph)
+            if elements is not None:
+                levels = yield from subprogress(simplify_foliage(copy.name, evaluated, elements, scene), *span)
+                item = Simplified(copy, copy, levels, True)
+            elif len(evaluated.triangles) > MAX_BASE_TRIANGLES:
+                levels = yield from subprogress(simplify_solid(copy.name, evaluated, scene, MAX_BASE_TRIANGLES), *span)
+                item = Simplified(copy, _add_base(copy, levels[-1], scene) if levels else copy, levels, False)
+        found.append(item)
+    return found
+
+
+def _add_base(copy: bpy.types.Object, level: SimplifiedMesh, scene: bpy.types.Scene) -> bpy.types.Object:
+    """Return a new object that shows a level at the place of `copy`."""
+    base = bpy.data.objects.new(copy.name, level.mesh)
+    copy_render_properties(copy, base)
+    base.matrix_world = world_matrix(copy)
+    scene.collection.objects.link(base)
+    return base
 
 
 @contextmanager
@@ -139,38 +197,51 @@ def _in_scene(steps: Steps[object], context: dict[str, bpy.types.ID]) -> Steps[o
             steps.close()
 
 
-def _read_part(asset: Asset, item: bpy.types.Object, copy: bpy.types.Object, sets: Sequence[LevelSet]) -> Part:
-    """Return an object of an asset with its perceptual levels, if it has any."""
-    inverse = asset.frame.inverted_safe()
-    unit = mean_scale(asset.frame)
-    meshes, candidates = [(item.data, inverse @ world_matrix(item))], []
-    for levels in (levels for levels in sets if levels.source == copy):
-        for level, error in zip(levels.levels, levels.errors, strict=True):
+def _read_part(asset: Asset, item: bpy.types.Object, simplified: Simplified, sets: Sequence[LevelSet]) -> Part:
+    """Return an object of an asset with its light meshes and its perceptual levels, if it has any."""
+    inverse, unit = asset.frame.inverted_safe(), mean_scale(asset.frame)
+    matrix, copy = inverse @ world_matrix(item), simplified.copy
+    evaluated = copy.evaluated_get(copy.users_scene[0].view_layers[0].depsgraph)
+    meshes, candidates = [(item.data, matrix)], [LevelCandidate(count_own_triangles(evaluated), 0.0)]
+    for level in simplified.levels:
+        meshes.append((level.mesh, matrix))
+        candidates.append(LevelCandidate(level.triangles, level.pixel_size * mean_scale(matrix)))
+    base_size = _base_size(asset, item, simplified)
+    for levels in (levels for levels in sets if levels.source == simplified.base):
+        for level, error in zip(levels.levels[1:], levels.errors[1:], strict=True):
             world = world_matrix(level)
-            candidates.append(LevelCandidate(count_triangles(level.data), error * mean_scale(world) / unit))
-            if len(candidates) > 1:
-                meshes.append((level.data, inverse @ world))
-    if not candidates:
-        evaluated = copy.evaluated_get(copy.users_scene[0].view_layers[0].depsgraph)
-        candidates.append(LevelCandidate(count_own_triangles(evaluated), 0.0))
+            candidates.append(LevelCandidate(count_triangles(level.data), base_size + error * mean_scale(world) / unit))
+            meshes.append((level.data, inverse @ world))
     return Part(copy, meshes, candidates)
 
 
+def _base_size(asset: Asset, item: bpy.types.Object, simplified: Simplified) -> float:
+    """Return the size of a pixel above which the base looks like the object, in units of the asset."""
+    if simplified.base == simplified.copy:
+        return 0.0
+    return simplified.levels[-1].pixel_size * mean_scale(asset.frame.inverted_safe() @ world_matrix(item))
+
+
 def _assemble(
-    asset: Asset, fingerprint: str, parts: Sequence[Part], scene_clouds: Sequence[SceneCloud], settings: DistanceSettings
+    asset: Asset,
+    fingerprint: str,
+    parts: Sequence[Part],
+    scene_clouds: Sequence[SceneCloud],
+    base_size: float,
+    settings: DistanceSettings,
 ) -> Chain:
-    """Choose among the levels of all objects together and those of the cloud, and create the chain."""
+    """Choose among the levels of all objects together and those of the cloud, and create the chain. base_size: of the pixels above which
+    what the cloud was made of looks like the asset."""
     combined = combine_levels([part.candidates for part in parts])
     inverse, unit = asset.frame.inverted_safe(), mean_scale(asset.frame)
-    quads = [(level, error / unit) for cloud in scene_clouds for level, error in zip(cloud.levels, cloud.errors, strict=True)]
+    quads = [(level, base_size + error / unit) for cloud in scene_clouds for level, error in zip(cloud.levels, cloud.errors, strict=True)]
     candidates = [candidate for candidate, _ in combined]
     candidates += [LevelCandidate(count_triangles(level.data), error) for level, error in quads]
-    copies: dict[bpy.types.Material, bpy.types.Material] = {}
     levels = []
     for index, pixel_size in choose_levels(candidates, settings.max_error):
         if index < len(combined):
             indices = combined[index][1]
-            objects = [_create_object(part, number, copies) for part, number in zip(parts, indices, strict=True)]
+            objects = [_create_object(part, number) for part, number in zip(parts, indices, strict=True)]
         else:
             level = quads[index - len(combined)][0]
             objects = [(level, inverse @ world_matrix(level))]
@@ -182,21 +253,11 @@ def _assemble(
     return create_chain(asset.name, fingerprint, levels, (asset.low, asset.high), settings.fade_range)
 
 
-def _create_object(
-    part: Part, number: int, copies: dict[bpy.types.Material, bpy.types.Material]
-) -> tuple[bpy.types.Object, mathutils.Matrix]:
-    """Return a new object that shows a level of `part`, and its matrix. That of the first level has copies of the materials of the
-    original, so that a cross-fade leaves these as they are."""
+def _create_object(part: Part, number: int) -> tuple[bpy.types.Object, mathutils.Matrix]:
+    """Return a new object that shows a level of `part`, and its matrix."""
     mesh, matrix = part.meshes[number]
-    if number:
-        item = bpy.data.objects.new(part.copy.name, mesh)
-        copy_render_properties(part.copy, item)
-        return item, matrix
-    item = part.copy.copy()
-    for slot in item.material_slots:
-        material = slot.material
-        if material is not None:
-            copies.setdefault(material, None)
-            copies[material] = copies[material] or material.copy()
-            slot.link, slot.material = "OBJECT", copies[material]
+    if not number:
+        return part.copy.copy(), matrix
+    item = bpy.data.objects.new(part.copy.name, mesh)
+    copy_render_properties(part.copy, item)
     return item, matrix
