@@ -115,6 +115,8 @@ def test_surfaces_are_no_foliage():
     tilted = part @ [[1, 0, 0.05], [0, 1, 0.05], [0, 0, 1]]
     tiles = (tilted + grid[:, None] + random.normal(0.0, 0.005, (len(grid), 1, 3))).reshape(-1, 3)
     assert find_elements(tiles, (4 * np.arange(len(grid))[:, None, None] + quad).reshape(-1, 3)) is None, "a roof of loose tiles"
+    slats = (part @ [[1, 0, 0], [0, 0.7, 0.7], [0, -0.7, 0.7]] + grid[:, None]).reshape(-1, 3)
+    assert find_elements(slats, (4 * np.arange(len(grid))[:, None, None] + quad).reshape(-1, 3)) is None, "a shutter of tilted slats"
     vertices, triangles = scattered(*square(), count=100)
     assert find_elements(vertices, triangles) is None, "few parts"
     side = np.linspace(0.0, 1.0, 30)

@@ -18,7 +18,8 @@ from ..geometry.meshes import SourceInstance, read_mesh
 RATIO = 0.25  # Of the triangles of a decimated mesh to those of the one before.
 MIN_TRIANGLES = 50  # Of levels; fewer save nothing.
 MAX_PIXEL = 0.125  # Of levels, relative to the longest side: the object is a few pixels large.
-FINEST = 14  # The pixels of the finest level of foliage have the longest side times a half to this power.
+# Pixels of the levels of foliage that are tried, relative to the longest side.
+PIXELS = 0.5 ** np.arange(14.0, 2.9, -0.5)
 FOLIAGE_RATIO = 0.5  # Of the triangles of a level of foliage to those of the one before, at most.
 
 
@@ -48,13 +49,12 @@ def simplify_foliage(name: str, evaluated: EvaluatedMesh, elements: Elements, sc
     side = longest_side(evaluated.vertices)
     levels: list[SimplifiedMesh] = []
     previous = len(evaluated.triangles)
-    for exponent in range(FINEST, 2, -1):
-        pixel_size = float(side * 0.5**exponent)
+    for step, pixel_size in enumerate((side * PIXELS).tolist()):
         branch = next(mesh for mesh, size in reversed(branches) if size <= pixel_size)
         count = count_triangles(elements, pixel_size) + (0 if branch is None else len(branch.triangles))
         if count > FOLIAGE_RATIO * previous or count < MIN_TRIANGLES:
             continue
-        yield Progress(1.0 - exponent / FINEST, "Dropping leaves")
+        yield Progress(step / len(PIXELS), "Dropping leaves")
         level = simplify_elements(elements, pixel_size)
         corners = 3 * level.kept[:, None] + np.arange(3)
         positions = np.concatenate([evaluated.vertices[evaluated.triangles[level.kept]], level.positions])

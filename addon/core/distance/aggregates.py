@@ -18,7 +18,8 @@ from ..geometry.transforms import normalize
 MIN_ELEMENTS = 300  # Fewer are parts of a machine rather than leaves.
 MIN_AREA = 0.5  # Of all elements together, relative to the area of the mesh.
 MAX_ELEMENT_AREA = 5e-3  # Of one element, relative to the area of the mesh; trunks and walls have more.
-MIN_SCATTER = 0.35  # See `measure_scatter`. Leaves have about 0.5, roof tiles and bricks, between which gaps would open, at most 0.2.
+# See `measure_scatter`. Leaves have about 0.5 and 0.7. Gaps would open between roof tiles with 0.1 and 1, and between slats with 0.5 and 1.
+MIN_SCATTER, MAX_ALIGNMENT = 0.35, 0.9
 SAMPLES, NEIGHBORS = 2000, 8  # Elements whose neighbors are looked at, and how many.
 MORTON_BITS = 10  # Per axis, of the cells by which elements are sorted.
 SHEET_ERROR, SOLID_ERROR = 0.25, 0.5  # What a stand-in of a sheet, and of a twig, leaves out, relative to the width.
@@ -92,16 +93,20 @@ def find_elements(vertices: np.ndarray, triangles: np.ndarray) -> Elements | Non
         return None
     numbers = np.where(is_element, np.cumsum(is_element) - 1, -1).astype(np.int32)
     elements = _describe(vertices, triangles, numbers[components], areas, normals)
-    return elements if measure_scatter(elements) >= MIN_SCATTER else None
+    scatter, alignment = measure_scatter(elements)
+    return elements if scatter >= MIN_SCATTER and alignment <= MAX_ALIGNMENT else None
 
 
-def measure_scatter(elements: Elements) -> float:
-    """Return the mean sine of the angle between elements and the lines to their neighbors: 0 in a surface, 0.5 in a volume."""
+def measure_scatter(elements: Elements) -> tuple[float, float]:
+    """Return the mean sine of the angle between elements and the lines to their neighbors, 0 in a surface and 0.5 in a volume, and the mean
+    cosine between their normals, 1 if they are parallel."""
     sampled = np.unique(np.linspace(0, len(elements.centers) - 1, SAMPLES).astype(int))
     _, nearest = cKDTree(elements.centers).query(elements.centers[sampled], min(NEIGHBORS + 1, len(elements.centers)))
     directions = normalize(elements.centers[nearest[:, 1:]] - elements.centers[sampled, None])
-    sines = np.abs(np.einsum("ski,si->sk", directions, elements.frames[sampled, 2])).mean(axis=1)
-    return float(np.average(sines, weights=np.maximum(elements.sizes[sampled].prod(axis=1), TINY)))
+    normals, neighbors = elements.frames[sampled, 2], elements.frames[nearest[:, 1:], 2]
+    weights = np.maximum(elements.sizes[sampled].prod(axis=1), TINY)
+    sines, cosines = (np.abs(np.einsum("ski,si->sk", vectors, normals)).mean(axis=1) for vectors in (directions, neighbors))
+    return float(np.average(sines, weights=weights)), float(np.average(cosines, weights=weights))
 
 
 def count_triangles(elements: Elements, pixel_size: float) -> int:
