@@ -69,8 +69,8 @@ def _window(x: float, z: float, random: np.random.Generator) -> Model:
 def _roof(width: float, depth: float, height: float, random: np.random.Generator) -> list[Model]:
     """Return the gables and the tiles of both slopes."""
     rise = 0.42 * depth
-    slope = np.hypot(0.5 * depth, rise)
-    columns, rows = int(width / 0.24), int(slope / 0.3)
+    side_length = np.hypot(0.5 * depth, rise)
+    columns, rows = int(width / 0.24), int(side_length / 0.3)
     corners = np.array([(x, y, height + z) for x in (-0.5, 0.5) for y, z in ((-0.5 * depth, 0.0), (0.5 * depth, 0.0), (0.0, rise - 0.05))])
     corners[:, 0] *= width - 0.8
     gable = np.array([(0, 2, 1), (3, 4, 5), (0, 3, 5), (0, 5, 2), (1, 2, 5), (1, 5, 4)])
@@ -87,15 +87,15 @@ def _roof(width: float, depth: float, height: float, random: np.random.Generator
     x, y = np.meshgrid((np.arange(columns) + 0.5) * width / columns - 0.5 * width, -(np.arange(rows) * 0.3 + 0.02))
     places = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]) + random.normal(0.0, 0.006, (x.size, 3))
     flat = tile + places[:, None]
-    down, up = np.array([0.5 * depth, -rise]) / slope, np.array([rise, 0.5 * depth]) / slope
+    down, up = np.array([0.5 * depth, -rise]) / side_length, np.array([rise, 0.5 * depth]) / side_length
     across = flat[..., 2:] * up - flat[..., 1:2] * down
     vertices = np.concatenate([-flat[..., :1], across + [0.0, height + rise]], axis=-1)
-    tints = np.repeat(random.uniform(0.6, 1.15, (len(places), 1)), 3, axis=1)
+    brightness = np.repeat(random.uniform(0.6, 1.15, (len(places), 1)), 3, axis=1)
     all_quads = (len(tile) * np.arange(len(places))[:, None, None] + quads).reshape(-1, 4)
     triangles, uvs = split_quads(all_quads, np.zeros((*all_quads.shape, 2)))
     for sign in (1.0, -1.0):
         turned = vertices.reshape(-1, 3) * [sign, sign, 1.0]
-        parts.append(Model(turned, triangles, uvs, np.full(len(triangles), TILE), np.repeat(tints, len(tile), axis=0)))
+        parts.append(Model(turned, triangles, uvs, np.full(len(triangles), TILE), np.repeat(brightness, len(tile), axis=0)))
     return parts
 
 
@@ -106,8 +106,8 @@ def _boxes(centers: list, sizes: list, material: int, random: np.random.Generato
     vertices = (rotated + np.array(centers)[:, None]).reshape(-1, 3)
     quads = (8 * np.arange(len(centers))[:, None, None] + BOX_QUADS).reshape(-1, 4)
     triangles, uvs = split_quads(quads, np.tile([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)], (len(quads), 1, 1)))
-    tints = np.repeat(np.repeat(random.uniform(0.9, 1.0, (len(centers), 1)), 8, axis=0), 3, axis=1)
-    return Model(vertices, triangles, uvs, np.full(len(triangles), material), tints)
+    brightness = np.repeat(np.repeat(random.uniform(0.9, 1.0, (len(centers), 1)), 8, axis=0), 3, axis=1)
+    return Model(vertices, triangles, uvs, np.full(len(triangles), material), brightness)
 
 
 def _turned(model: Model, quarters: int) -> Model:

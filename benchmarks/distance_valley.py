@@ -89,12 +89,12 @@ def path(y: np.ndarray | float) -> np.ndarray | float:
 
 def height_at(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return the height of the ground: two slopes with hills."""
-    slope = 95.0 * np.minimum(np.abs(x - path(y)) / 260.0, 2.0) ** 1.8
+    base = 95.0 * np.minimum(np.abs(x - path(y)) / 260.0, 2.0) ** 1.8
     hills = sum(
         size * np.sin(x * np.cos(angle) / length + y * np.sin(angle) / length + angle)
         for size, length, angle in ((2.5, 31.0, 0.4), (1.6, 17.0, 2.0), (0.9, 9.0, 4.4), (0.35, 4.0, 1.1))
     )
-    return slope + hills * (0.3 + np.minimum(np.abs(x - path(y)) / 40.0, 2.0))
+    return base + hills * (0.3 + np.minimum(np.abs(x - path(y)) / 40.0, 2.0))
 
 
 def _on_ground(points: np.ndarray) -> np.ndarray:
@@ -231,18 +231,18 @@ def _create_materials() -> list[bpy.types.Material]:
     """Return bark, leaf, needle, stone, wall, wood, tile and glass."""
     return [
         _create_material("Bark", (0.11, 0.07, 0.045), 0.9, noise=9.0),
-        _create_material("Leaf", (0.10, 0.21, 0.035), 0.55, tint="Tint", translucent=0.3),
-        _create_material("Needle", (0.035, 0.085, 0.03), 0.6, tint="Tint"),
+        _create_material("Leaf", (0.10, 0.21, 0.035), 0.55, attribute_name="Tint", translucent=0.3),
+        _create_material("Needle", (0.035, 0.085, 0.03), 0.6, attribute_name="Tint"),
         _create_material("Stone", (0.26, 0.24, 0.21), 0.85, noise=3.0),
-        _create_material("Wall", (0.62, 0.54, 0.42), 0.9, tint="Tint"),
-        _create_material("Wood", (0.16, 0.09, 0.045), 0.6, tint="Tint"),
-        _create_material("Tile", (0.36, 0.11, 0.05), 0.7, tint="Tint"),
+        _create_material("Wall", (0.62, 0.54, 0.42), 0.9, attribute_name="Tint"),
+        _create_material("Wood", (0.16, 0.09, 0.045), 0.6, attribute_name="Tint"),
+        _create_material("Tile", (0.36, 0.11, 0.05), 0.7, attribute_name="Tint"),
         _create_material("Glass", (0.02, 0.025, 0.03), 0.05),
     ]
 
 
 def _create_material(
-    name: str, color: tuple[float, float, float], roughness: float, noise: float = 0.0, tint: str = "", translucent: float = 0.0
+    name: str, color: tuple[float, float, float], roughness: float, noise: float = 0.0, attribute_name: str = "", translucent: float = 0.0
 ) -> bpy.types.Material:
     """Create a material, varied by noise of a scale or by a color attribute, with a translucent part."""
     material = bpy.data.materials.new(name)
@@ -260,19 +260,19 @@ def _create_material(
         ramp.inputs["To Min"].default_value, ramp.inputs["To Max"].default_value = 0.4, 1.5
         tree.links.new(pattern.outputs[0], ramp.inputs["Value"])
         tree.links.new(ramp.outputs[0], product.inputs[1])
-    elif tint:
+    elif attribute_name:
         attribute = tree.nodes.new("ShaderNodeVertexColor")
-        attribute.layer_name = tint
+        attribute.layer_name = attribute_name
         tree.links.new(attribute.outputs["Color"], product.inputs[1])
-    if noise or tint:
+    if noise or attribute_name:
         tree.links.new(product.outputs[0], surface.inputs["Base Color"])
     if translucent:
         output = next(node for node in tree.nodes if node.type == "OUTPUT_MATERIAL")
-        glow, mix = tree.nodes.new("ShaderNodeBsdfTranslucent"), tree.nodes.new("ShaderNodeMixShader")
+        translucency, mix = tree.nodes.new("ShaderNodeBsdfTranslucent"), tree.nodes.new("ShaderNodeMixShader")
         mix.inputs[0].default_value = translucent
-        tree.links.new(product.outputs[0], glow.inputs["Color"])
+        tree.links.new(product.outputs[0], translucency.inputs["Color"])
         tree.links.new(surface.outputs[0], mix.inputs[1])
-        tree.links.new(glow.outputs[0], mix.inputs[2])
+        tree.links.new(translucency.outputs[0], mix.inputs[2])
         tree.links.new(mix.outputs[0], output.inputs["Surface"])
     return material
 

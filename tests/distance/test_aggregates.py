@@ -29,8 +29,8 @@ def square(side: float = SIDE) -> tuple[np.ndarray, np.ndarray]:
 def hexagon() -> tuple[np.ndarray, np.ndarray]:
     """Return a hexagon of six triangles."""
     angles = np.arange(6) * np.pi / 3.0
-    rim = SIDE * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(6)])
-    return np.concatenate([rim, np.zeros((1, 3))]), np.array([(6, corner, (corner + 1) % 6) for corner in range(6)])
+    corners = SIDE * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(6)])
+    return np.concatenate([corners, np.zeros((1, 3))]), np.array([(6, corner, (corner + 1) % 6) for corner in range(6)])
 
 
 def prism() -> tuple[np.ndarray, np.ndarray]:

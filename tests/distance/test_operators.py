@@ -111,8 +111,8 @@ def add_bush() -> bpy.types.Object:
         mesh.materials.append(bpy.data.materials.new(name))
         enable_nodes(mesh.materials[-1])
     mesh.polygons[500].material_index = 1
-    tint = mesh.materials[0].node_tree.nodes.new("ShaderNodeVertexColor")
-    tint.layer_name = "Tint"
+    color_node = mesh.materials[0].node_tree.nodes.new("ShaderNodeVertexColor")
+    color_node.layer_name = "Tint"
     bush = bpy.data.objects.new("Bush", mesh)
     bpy.context.scene.collection.objects.link(bush)
     bush.location, bush.scale = (0.0, 5.0, 0.0), (2.0, 2.0, 2.0)

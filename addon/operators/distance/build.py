@@ -71,12 +71,12 @@ def build_chain(asset: Asset, fingerprint: str, settings: DistanceSettings, rema
             simplified = yield from subprogress(_simplify(copies, scene, settings), 0.0, SIMPLIFY_FRACTION)
             solids = [item.base for item in simplified if not item.is_foliage]
             makes_cloud = settings.billboard_cloud and len(solids) == len(simplified)
-            middle = SIMPLIFY_FRACTION + (LEVELS_FRACTION if makes_cloud else 1.0 - SIMPLIFY_FRACTION) * bool(solids)
+            levels_end = SIMPLIFY_FRACTION + (LEVELS_FRACTION if makes_cloud else 1.0 - SIMPLIFY_FRACTION) * bool(solids)
             if settings.perceptual_levels and solids:
                 steps = _run(scene, lambda: _prepare_levels(solids), f'levels of "{asset.name}"', remarks)
-                yield from subprogress(steps, SIMPLIFY_FRACTION, middle)
+                yield from subprogress(steps, SIMPLIFY_FRACTION, levels_end)
             if makes_cloud:
-                yield from subprogress(_run(scene, lambda: _prepare_cloud(solids), f'cloud of "{asset.name}"', remarks), middle, 1.0)
+                yield from subprogress(_run(scene, lambda: _prepare_cloud(solids), f'cloud of "{asset.name}"', remarks), levels_end, 1.0)
             yield Progress(1.0, "Creating levels")
             parts = [_read_part(asset, *pair, level_sets_in(scene)) for pair in zip(asset.objects, simplified, strict=True)]
             base_size = max(_base_size(asset, *pair) for pair in zip(asset.objects, simplified, strict=True))
