@@ -19,14 +19,14 @@ scene.frame_set(int(sys.argv[4]))
 scene.render.filepath = sys.argv[2]
 peaks = [0.0]
 def note(*given):
-    peaks.extend(float(peak) for text in given if isinstance(text, str) for peak in re.findall(r"Peak:? ([\\d.]+) ?M", text))
+    peaks.extend(float(size) for text in given if isinstance(text, str) for size in re.findall(r"Mem: ?([\\d.]+)M", text))
 bpy.app.handlers.render_stats.append(note)
 started, cpu = time.perf_counter(), time.process_time()
 bpy.ops.render.render(write_still=True)
 seconds = {"seconds": round(time.perf_counter() - started, 2), "cpu_seconds": round(time.process_time() - cpu, 2)}
 status = Path("/proc/self/status")  # Other counters include the memory of the process that started this one.
 peak = int(re.search(r"VmHWM:\\s+(\\d+) kB", status.read_text())[1]) if status.exists() else None
-memory = {"peak_memory_mb": None if peak is None else round(peak * 1024e-6, 1), "render_memory_mb": max(peaks) or None}
+memory = {"peak_memory_mb": None if peak is None else round(peak * 1024e-6, 1), "cycles_memory_mb": max(peaks)}
 print(json.dumps({**seconds, **memory}))
 bpy.ops.wm.read_factory_settings(use_empty=True)
 """

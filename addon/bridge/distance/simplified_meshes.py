@@ -14,6 +14,8 @@ from ..geometry.evaluated_mesh import EvaluatedMesh, MeshAttribute
 from ..geometry.joined_meshes import join_instances
 from ..geometry.mesh_writing import write_evaluated_mesh
 from ..geometry.meshes import SourceInstance, read_mesh
+from ..lod_sets import KIND
+from .chains import CHAIN
 
 RATIO = 0.25  # Of the triangles of a decimated mesh to those of the one before.
 MIN_TRIANGLES = 50  # Of levels; fewer save nothing.
@@ -45,7 +47,7 @@ def simplify_foliage(name: str, evaluated: EvaluatedMesh, elements: Elements, sc
     rest = np.flatnonzero(elements.of_triangles < 0)
     branches: list[tuple[EvaluatedMesh | None, float]] = [(_take(evaluated, rest) if len(rest) else None, 0.0)]
     if len(rest):
-        branches += [(mesh, size) for mesh, size in _decimate(branches[0][0], scene, MIN_TRIANGLES)]
+        branches += [(mesh, size) for mesh, size in _decimate(branches[0][0], scene)]
     side = longest_side(evaluated.vertices)
     levels: list[SimplifiedMesh] = []
     previous = len(evaluated.triangles)
@@ -65,22 +67,26 @@ def simplify_foliage(name: str, evaluated: EvaluatedMesh, elements: Elements, sc
     return levels
 
 
-def simplify_solid(name: str, evaluated: EvaluatedMesh, scene: bpy.types.Scene, min_triangles: int) -> Steps[list[SimplifiedMesh]]:
-    """Return decimated meshes, finest first, of which only the last has fewer than `min_triangles`, if Decimate reaches so few. `scene` is
-    a temporary one."""
+def simplify_solid(name: str, evaluated: EvaluatedMesh, scene: bpy.types.Scene) -> Steps[list[SimplifiedMesh]]:
+    """Return decimated meshes, finest first. `scene` is a temporary one."""
     yield Progress(0.0, "Simplifying")
-    found = _decimate(evaluated, scene, min_triangles)
-    return [_create(name, mesh, size) for mesh, size in found]
+    return [_create(name, mesh, size) for mesh, size in _decimate(evaluated, scene)]
+
+
+def discard_unused() -> None:
+    """Remove the simplified meshes that nothing uses."""
+    bpy.data.batch_remove([mesh for mesh in bpy.data.meshes if mesh.get(KIND) == CHAIN and not mesh.users])
 
 
 def _create(name: str, evaluated: EvaluatedMesh, pixel_size: float) -> SimplifiedMesh:
     mesh = bpy.data.meshes.new(name)
+    mesh[KIND] = CHAIN
     write_evaluated_mesh(mesh, evaluated)
     return SimplifiedMesh(mesh, len(evaluated.triangles), pixel_size)
 
 
-def _decimate(evaluated: EvaluatedMesh, scene: bpy.types.Scene, min_triangles: int) -> list[tuple[EvaluatedMesh, float]]:
-    """Return meshes with fewer and fewer triangles, until one has fewer than `min_triangles`, with their pixel sizes."""
+def _decimate(evaluated: EvaluatedMesh, scene: bpy.types.Scene) -> list[tuple[EvaluatedMesh, float]]:
+    """Return meshes with fewer and fewer triangles, with their pixel sizes."""
     mesh = bpy.data.meshes.new("Farfield Decimated")
     item = bpy.data.objects.new("Farfield Decimated", mesh)
     scene.collection.objects.link(item)
@@ -92,7 +98,7 @@ def _decimate(evaluated: EvaluatedMesh, scene: bpy.types.Scene, min_triangles: i
         count, side = len(evaluated.triangles), longest_side(evaluated.vertices)
         vertices = evaluated.vertices[evaluated.triangles].reshape(-1, 3)
 
-        while count > min_triangles:
+        while RATIO * count > MIN_TRIANGLES:
             modifier.ratio *= RATIO
             scene.view_layers[0].update()
             depsgraph = scene.view_layers[0].depsgraph
