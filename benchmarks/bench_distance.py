@@ -46,6 +46,7 @@ def main(arguments: list[str], _line: command_line.ProgressLine) -> str:
     parser.add_argument("--places", type=int, default=2000, help="number of instances")
     parser.add_argument("--samples", type=int, default=32, help="of the renders")
     parser.add_argument("--max-error", type=float, default=1.0, help="in pixels")
+    parser.add_argument("--fade-range", type=float, default=DistanceSettings().fade_range, help="of levels, relative to distances")
     parser.add_argument("--seed", type=int, default=0, help="of everything random in the valley")
     parser.add_argument("--trees", type=int, default=10_000, help="number of trees in the valley")
     parser.add_argument("--rocks", type=int, default=ROCKS, help="number of rocks in the valley")
@@ -65,7 +66,7 @@ def measure_scatter(given: Namespace) -> dict[str, Any]:
         build_scene(given.model, given.places, given.samples)
         started = time.perf_counter()
         scene = bpy.context.scene
-        job = prepare(scene, [scene.objects["Scatter"]], DistanceSettings(max_error=given.max_error))
+        job = prepare(scene, [scene.objects["Scatter"]], DistanceSettings(max_error=given.max_error, fade_range=given.fade_range))
         message = run_to_end(run_job(job))
         seconds = round(time.perf_counter() - started, 1)
         bounces = scene.cycles.transparent_max_bounces  # Full geometry gets as many, or its stacked leaves would be black and cheaper.
@@ -138,7 +139,7 @@ def measure_valley(given: Namespace) -> dict[str, Any]:
     options = ValleyOptions(given.seed, given.trees, given.rocks, given.houses, given.props, given.width, given.samples)
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary) if given.sheets is None else given.sheets.absolute() / "valley"
-        return measure_flight(options, DistanceSettings(max_error=given.max_error), given.frames, folder)
+        return measure_flight(options, DistanceSettings(max_error=given.max_error, fade_range=given.fade_range), given.frames, folder)
 
 
 PARTS = {"scatter": measure_scatter, "valley": measure_valley}

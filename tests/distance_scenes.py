@@ -96,14 +96,14 @@ def attach_levels(objects: Sequence[bpy.types.Object], fade_range: float = 0.0, 
 
 
 def list_instances(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[str, tuple[int, ...]]]:
-    """Yield the name, whether it fades or not, and the position, in whole units, of each instance of a mesh."""
+    """Yield the name and the position, in whole units, of each instance of a mesh."""
     for instance in depsgraph.object_instances:
         if instance.is_instance and instance.object.type == "MESH":
-            yield instance.object.name.removesuffix(" Fading"), tuple(round(value) for value in instance.matrix_world.translation)
+            yield instance.object.name, tuple(round(value) for value in instance.matrix_world.translation)
 
 
 def shown() -> list[tuple[str, tuple[int, ...]]]:
-    """Return what the viewport shows."""
+    """Return what the viewport shows, which never fades."""
     bpy.context.view_layer.update()
     return sorted(list_instances(bpy.context.evaluated_depsgraph_get()))
 
@@ -120,8 +120,9 @@ class RecordingEngine(bpy.types.RenderEngine):
         type(self).instances = sorted(list_instances(depsgraph))
 
 
-def rendered() -> list[tuple[str, tuple[int, ...]]]:
-    """Return what a render of the current frame has to show."""
+def rendered(named_fading: bool = False) -> list[tuple[str, tuple[int, ...]]]:
+    """Return what a render of the current frame has to show. Objects with materials that fade have the names of those without, unless they
+    are `named_fading`."""
     bpy.utils.register_class(RecordingEngine)
     try:
         bpy.context.scene.render.engine = RecordingEngine.bl_idname
@@ -129,7 +130,7 @@ def rendered() -> list[tuple[str, tuple[int, ...]]]:
     finally:
         bpy.context.scene.render.engine = "CYCLES"
         bpy.utils.unregister_class(RecordingEngine)
-    return RecordingEngine.instances
+    return [(name if named_fading else name.removesuffix(" Fading"), place) for name, place in RecordingEngine.instances]
 
 
 def describe_file() -> dict[str, object]:

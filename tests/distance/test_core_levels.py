@@ -37,4 +37,4 @@ def test_the_original_is_always_the_first_level(max_error):
 
 @pytest.mark.parametrize(("triangles", "pixel_size", "expected"), [(500, 1.0, False), (501, 1.0, True), (500, 1.1, True)])
 def test_a_cloud_is_needed_where_no_light_mesh_shows_a_small_object(triangles, pixel_size, expected):
-    assert needs_cloud(candidates((9000, 0.0), (triangles, pixel_size)), side=16.0) is expected
+    assert needs_cloud(candidates((9000, 0.0), (triangles, pixel_size)), side=8.0) is expected

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from distance_scenes import DISTANCES, add_box, add_camera, add_scatter, attach_levels, rendered, shown
+from farfield.addon.bridge import lod_crossfade
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 
@@ -117,6 +118,15 @@ def test_renders_have_both_levels_within_the_fade_range(camera, distance, in_ren
     attach_levels([add_box("Box", (0.0, distance, 0.0))], fade_range=0.2)
     assert [name for name, _ in rendered()] == [f"Box {number}" for number in in_render]
     assert len(shown()) == 1
+
+
+def test_only_places_within_the_fade_range_have_materials_that_fade(camera):
+    attach_levels([add_scatter([(0.0, y, 0.0) for y in (15.0, 22.0, 35.0, 70.0)], [add_box("Box", linked=False)])], fade_range=0.2)
+    expected = [("Box 0", 15), ("Box 0 Fading", 22), ("Box 1", 35), ("Box 1 Fading", 22), ("Box 2", 70)]
+    assert [(name, place[1]) for name, place in rendered(named_fading=True)] == expected
+    fading, plain = (bpy.data.objects[name].material_slots[0].material for name in ("Box 1 Fading", "Box 1"))
+    assert fading != plain and not any(map(lod_crossfade.is_crossfade, plain.node_tree.nodes))
+    assert any(map(lod_crossfade.is_crossfade, fading.node_tree.nodes))
 
 
 def test_without_a_camera_everything_is_the_original():

@@ -61,7 +61,7 @@ def test_perceptual_levels_of_an_object_and_its_linked_duplicate(camera):
     bpy.context.scene.collection.objects.link(duplicate)
     duplicate.location = (0.0, 5000.0, 0.0)
     before = describe_file()
-    build(**QUICK)
+    build(**QUICK, fade_range=20.0)
     (chain,) = read_chains()
     assert len(chain.collections) >= 2 and chain.triangles == sorted(chain.triangles, reverse=True)
     assert chain.triangles[0] == count_triangles(ball) and chain.pixel_sizes == sorted(chain.pixel_sizes)

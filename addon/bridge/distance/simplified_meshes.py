@@ -22,7 +22,7 @@ MIN_TRIANGLES = 50  # Of levels; fewer save nothing.
 MAX_PIXEL = 0.125  # Of levels, relative to the longest side: the object is a few pixels large.
 # Pixels of the levels of foliage that are tried, relative to the longest side.
 PIXELS = 0.5 ** np.arange(14.0, 2.9, -0.5)
-FOLIAGE_RATIO = 0.5  # Of the triangles of a level of foliage to those of the one before, at most.
+FOLIAGE_RATIO = 0.3  # Of the triangles of a level of foliage to those of the one before, at most; a wood shows all levels at once.
 
 
 @dataclass(frozen=True)

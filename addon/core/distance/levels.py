@@ -9,7 +9,7 @@ from dataclasses import dataclass
 MAX_TRIANGLES_RATIO = 0.75  # Of a level to the level before; one that saves less is not worth a switch.
 # An object as small as this in an image, in pixels, needs a cloud if no mesh of so few triangles shows it. Cycles takes longer for the
 # transparent quads of a cloud than for such a mesh, and its images take more memory.
-FEW_PIXELS, FEW_TRIANGLES = 16.0, 500
+FEW_PIXELS, FEW_TRIANGLES = 8.0, 500
 
 
 @dataclass(frozen=True)
