@@ -41,8 +41,10 @@ def read_elements(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> tup
     return evaluated, find_elements(evaluated.vertices, evaluated.triangles)
 
 
-def simplify_foliage(name: str, evaluated: EvaluatedMesh, elements: Elements, scene: bpy.types.Scene) -> Steps[list[SimplifiedMesh]]:
-    """Return levels of foliage, finest first. `scene` is a temporary one, for Decimate."""
+def simplify_foliage(
+    item: bpy.types.Object, evaluated: EvaluatedMesh, elements: Elements, scene: bpy.types.Scene
+) -> Steps[list[SimplifiedMesh]]:
+    """Return levels of an object that is foliage, finest first. `scene` is a temporary one, for Decimate."""
     yield Progress(0.0, "Simplifying branches")
     rest = np.flatnonzero(elements.of_triangles < 0)
     branches: list[tuple[EvaluatedMesh | None, float]] = [(_take(evaluated, rest) if len(rest) else None, 0.0)]
@@ -62,15 +64,15 @@ def simplify_foliage(name: str, evaluated: EvaluatedMesh, elements: Elements, sc
         positions = np.concatenate([evaluated.vertices[evaluated.triangles[level.kept]], level.positions])
         is_flat = np.concatenate([np.zeros(len(corners), bool), level.is_flat])
         leaves = _take_corners(evaluated, positions, np.concatenate([corners, level.sources]), is_flat)
-        levels.append(_create(name, _join([leaves] if branch is None else [branch, leaves]), pixel_size))
+        levels.append(_create(item, _join([leaves] if branch is None else [branch, leaves]), pixel_size))
         previous = count
     return levels
 
 
-def simplify_solid(name: str, evaluated: EvaluatedMesh, scene: bpy.types.Scene) -> Steps[list[SimplifiedMesh]]:
-    """Return decimated meshes, finest first. `scene` is a temporary one."""
+def simplify_solid(item: bpy.types.Object, evaluated: EvaluatedMesh, scene: bpy.types.Scene) -> Steps[list[SimplifiedMesh]]:
+    """Return decimated meshes of an object, finest first. `scene` is a temporary one."""
     yield Progress(0.0, "Simplifying")
-    return [_create(name, mesh, size) for mesh, size in _decimate(evaluated, scene)]
+    return [_create(item, mesh, size) for mesh, size in _decimate(evaluated, scene)]
 
 
 def discard_unused() -> None:
@@ -78,10 +80,14 @@ def discard_unused() -> None:
     bpy.data.batch_remove([mesh for mesh in bpy.data.meshes if mesh.get(KIND) == CHAIN and not mesh.users])
 
 
-def _create(name: str, evaluated: EvaluatedMesh, pixel_size: float) -> SimplifiedMesh:
-    mesh = bpy.data.meshes.new(name)
+def _create(item: bpy.types.Object, evaluated: EvaluatedMesh, pixel_size: float) -> SimplifiedMesh:
+    """Create the mesh of a level of `item`, with the same Generated coordinates."""
+    mesh = bpy.data.meshes.new(item.name)
     mesh[KIND] = CHAIN
     write_evaluated_mesh(mesh, evaluated)
+    if isinstance(item.data, bpy.types.Mesh):
+        mesh.use_auto_texspace = False
+        mesh.texspace_location, mesh.texspace_size = item.data.texspace_location, item.data.texspace_size
     return SimplifiedMesh(mesh, len(evaluated.triangles), pixel_size)
 
 

@@ -105,10 +105,10 @@ def _simplify(copies: Sequence[bpy.types.Object], scene: bpy.types.Scene, settin
         if settings.perceptual_levels:
             evaluated, elements = read_elements(copy, depsgraph)
             if elements is not None:
-                levels = yield from subprogress(simplify_foliage(copy.name, evaluated, elements, scene), *span)
+                levels = yield from subprogress(simplify_foliage(copy, evaluated, elements, scene), *span)
                 item = Simplified(copy, copy, 0.0, levels, True)
             elif len(evaluated.triangles) > MAX_PERCEPTUAL_TRIANGLES:
-                levels = yield from subprogress(simplify_solid(copy.name, evaluated, scene), *span)
+                levels = yield from subprogress(simplify_solid(copy, evaluated, scene), *span)
                 max_size = MAX_BASE_PIXEL * longest_side(evaluated.vertices)
                 base = next((level for level in reversed(levels) if level.pixel_size <= max_size), None)
                 if base is not None:
