@@ -119,6 +119,11 @@ def test_renders_have_both_levels_within_the_fade_range(camera, distance, in_ren
     assert len(shown()) == 1
 
 
+def test_an_error_of_two_pixels_shows_levels_at_half_the_distance(camera):
+    attach_levels([add_box("Box", (0.0, 11.0, 0.0))], max_error=2.0)
+    assert shown() == rendered() == [("Box 1", (0, 11, 0))]
+
+
 def test_without_a_camera_everything_is_the_original():
     attach_levels([add_box("Box", (0.0, 500.0, 0.0))])
     assert [name for name, _ in shown()] == ["Box 0"]

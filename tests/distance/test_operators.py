@@ -107,6 +107,8 @@ def test_a_second_build_uses_the_levels_of_the_first(camera):
     build(**QUICK)
     assert [collection.session_uid for chain in read_chains() for collection in chain.collections] == first
     build(**QUICK, max_error=4.0)
+    assert [collection.session_uid for chain in read_chains() for collection in chain.collections] == first, "only their distances differ"
+    build(**QUICK, fade_range=0.5)
     (chain,) = read_chains()
     assert [collection.session_uid for collection in chain.collections] != first
     assert len(level_modifiers(bpy.data.objects["Ball"])) == 1

@@ -12,8 +12,8 @@ from ..objects import world_matrix
 from ..shading.node_builder import nodes_in
 from .assets import Asset
 
-VERSION = 1  # Of the levels that are made; a change makes all levels again.
-OF_PLACES = {"min_triangles"}  # Settings that concern which objects get levels, not the levels.
+VERSION = 2  # Of the levels that are made; a change makes all levels again.
+OF_PLACES = {"min_triangles", "max_error"}  # Settings that concern which objects get levels, and where they show, not the levels.
 
 
 def fingerprint(asset: Asset, depsgraph: bpy.types.Depsgraph, settings: DistanceSettings) -> str:

@@ -5,7 +5,7 @@ shows, so renders load only levels that are needed. The levels' materials cross-
 levels fade into each other, both are instanced. What the camera does not see is the coarsest level, for its shadow and reflections.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import bpy
@@ -14,9 +14,10 @@ from ..lod_crossfade import ALWAYS_SHOWN, CONSTANT, FADES, GROWTH, INSTANCE_CAME
 from ..objects import drive_by_scene
 from ..shading.node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
 
-NAME, VERSION = "Farfield Levels by Distance", 1
+NAME, VERSION = "Farfield Levels by Distance", 2
 VIEW_NAME, VIEW_VERSION = "Farfield Active Camera", 1
 TREE = "GeometryNodeTree"
+MAX_ERROR = "Max Error"  # Input of the modifiers: what a level may leave out, in pixels.
 SEPARATION = 1e-5  # Of the distance, by which levels that fade are moved apart: where surfaces coincide, Cycles misses one of them.
 TINY_BOX = 1e-20  # Size of the bounding box of an instance that has only other instances.
 MAX_NESTING = 4  # Levels of instances of instances, such as of a collection with collections.
@@ -73,8 +74,8 @@ class View:
     Attributes:
         position: of the camera, in world space.
         direction: in which it looks, in world space.
-        growth: of the size of a pixel per unit of distance, see `lod_crossfade`.
-        constant: size of a pixel at the camera.
+        growth: of the size of a pixel per unit of distance, see `lod_crossfade`; for levels times what they may leave out, in pixels.
+        constant: size of a pixel at the camera, for levels times the same.
         diagonal: see `DIAGONAL`.
         is_viewport: whether no render is made.
     """
@@ -89,7 +90,7 @@ class View:
 
 def ensure_level_switch(count: int, places: Places) -> bpy.types.NodeTree:
     """Return the node group that shows one of `count` levels, each a collection, at the `places` of an asset."""
-    sockets = [("Geometry", "Geometry"), ("Center", "Vector"), ("Radius", "Float"), ("Fade Range", "Float")]
+    sockets = [("Geometry", "Geometry"), ("Center", "Vector"), ("Radius", "Float"), (MAX_ERROR, "Float"), ("Fade Range", "Float")]
     sockets += [("Low", "Vector"), ("High", "Vector"), ("Tolerance", "Float")] if places is Places.MATCHING else []
     for number in range(count):
         sockets += [(f"Level {number}", "Collection"), (f"Pixel Size {number}", "Float")]
@@ -104,8 +105,9 @@ def ensure_level_switch(count: int, places: Places) -> bpy.types.NodeTree:
 def _fill(builder: GeometryBuilder, count: int, places: Places) -> None:
     given, result = builder.node("NodeGroupInput").outputs, builder.node("NodeGroupOutput").inputs[0]
     geometry = given["Geometry"]
-    view_node = builder.call("GeometryNodeGroup", {}, {"node_tree": _ensure_view()})
-    view = View(*view_node.outputs[:6])
+    seen = View(*builder.call("GeometryNodeGroup", {}, {"node_tree": _ensure_view()}).outputs[:6])
+    growth, constant = (builder.math("MULTIPLY", size, given[MAX_ERROR]) for size in (seen.growth, seen.constant))
+    view = replace(seen, growth=growth, constant=constant)
     own = builder.call("GeometryNodeObjectInfo", {"Object": builder.node("GeometryNodeSelfObject").outputs[0]})
     to_world, local, rest = own.outputs["Transform"], None, None
     if places is Places.OBJECT:

@@ -113,7 +113,7 @@ class DistanceJob:
         detach(with_placements(scene, objects))
         for asset, chain in found:
             if len(chain.collections) > 1:
-                attach_chain(asset, chain, scene, self.settings.fade_range)
+                attach_chain(asset, chain, scene, self.settings.fade_range, self.settings.max_error)
         clean_up(scene)
 
     def _summary(self, scene: bpy.types.Scene, assets: Sequence[Asset]) -> str:
