@@ -53,7 +53,7 @@ def session() -> Iterator[float]:
     user.press("LEFTMOUSE", x, y)
     yield 2.0
     save_screenshot("1-analysis")
-    results["analysis"] = settings.analysis
+    results["analysis"] = [(plan.places, plan.outcome) for plan in settings.plans]
     results["before"] = scene_state()
 
     x, y = yield from user.press_and_start(BUTTON)
@@ -80,7 +80,16 @@ def session() -> Iterator[float]:
     user.press("LEFTMOUSE", x, y)
     yield 1.0
 
-    for _ in range(3):
+    scene = bpy.context.scene
+    scene.render.engine, scene.cycles.samples, scene.render.resolution_percentage = "CYCLES", 2, 20
+    yield from user.press_and_start("farfield.distance_measure")
+    yield from wait_for_job()
+    yield 2.0
+    save_screenshot("4-measured")
+    scene.render.resolution_percentage = 100
+    results["figures"], results["instances_after"] = settings.figures, instances()
+
+    for _ in range(4):
         yield from user.press_undo()
     results["after_undo"] = modifiers()
 

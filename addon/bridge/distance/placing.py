@@ -6,7 +6,7 @@ from contextlib import contextmanager
 import bpy
 import numpy as np
 
-from ...compat import set_node_input
+from ...compat import read_node_input, set_node_input
 from ..lod_sets import KIND
 from ..rendering.render_properties import ensure_transparent_bounces, estimate_transparent_bounces
 from ..shading.node_builder import NodeBuilder, ensure_shared_group
@@ -100,6 +100,12 @@ def describe_bounces(scene: bpy.types.Scene) -> str:
 def find_hosts(objects: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:
     """Return those of `objects` that show levels by distance."""
     return [item for item in objects if level_modifiers(item)]
+
+
+def max_errors(scene: bpy.types.Scene) -> dict[bpy.types.Collection, float]:
+    """Return what levels may leave out, in pixels, for the collection of the first level of each chain that a scene shows."""
+    modifiers = [modifier for item in scene.objects for modifier in level_modifiers(item)]
+    return {read_node_input(modifier, "Level 0"): read_node_input(modifier, MAX_ERROR) for modifier in modifiers}
 
 
 def has_levels(scene: bpy.types.Scene) -> bool:
