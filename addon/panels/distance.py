@@ -19,6 +19,8 @@ from ..operators.distance.operators import (
     FARFIELD_OT_distance_show_original,
     disabled_reason,
 )
+from ..operators.distance.viewport import FARFIELD_OT_distance_follow_view
+from ..operators.distance.viewport import current as following
 from .sidebar import (
     SettingsPanel,
     SidebarPanel,
@@ -91,6 +93,10 @@ class FARFIELD_PT_distance(DistanceSettingsPanel, ToolPanel, bpy.types.Panel):
             draw_figures(layout, context.scene.farfield_distance.figures)
             column = layout.column(align=True)
             column.operator(FARFIELD_OT_distance_measure.bl_idname, text="Measure", icon="TIME")
+            row = column.row(align=True)
+            row.operator(
+                FARFIELD_OT_distance_follow_view.bl_idname, text="Follow View", icon="VIEW_PERSPECTIVE", depress=following.is_running
+            )
             is_original = not shows_levels(context.scene.objects)
             column.operator(FARFIELD_OT_distance_show_original.bl_idname, text="Show Originals", icon="MESH_DATA", depress=is_original)
             column.operator(FARFIELD_OT_distance_remove.bl_idname, text="Remove", icon="X")

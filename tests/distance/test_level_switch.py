@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 from distance_scenes import DISTANCES, add_box, add_camera, add_scatter, attach_levels, rendered, shown
+from farfield.addon.bridge.distance.level_switch import follow_viewport
+from farfield.addon.core.geometry.cameras import Camera
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 
@@ -144,3 +146,13 @@ def test_a_subdivided_kind_is_recognized_where_renders_subdivide_it_more(camera)
     subdivision.levels, subdivision.render_levels = 1, 3
     attach_levels([add_scatter([(0.0, 60.0, 0.0), (0.0, 61.0, 0.0)], kinds)])
     assert [name for name, _ in shown()] == ["Kind 2", "Other 2"] == [name for name, _ in rendered()]
+
+
+def test_a_viewport_that_is_followed_shows_its_own_levels_and_renders_those_of_the_camera(camera):
+    attach_levels([add_box("Box", (0.0, 60.0, 0.0)), add_box("Behind", (0.0, -30.0, 0.0))])
+    before = shown()
+    assert [name for name, _ in before] == ["Behind 2", "Box 2"]
+    follow_viewport(Camera(np.array([0.0, 50.0, 0.0]), 1000, camera.data.angle))
+    assert [name for name, _ in shown()] == ["Behind 2", "Box 0"] and rendered() == before
+    follow_viewport(None)
+    assert shown() == before

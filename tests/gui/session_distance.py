@@ -39,6 +39,16 @@ def instances() -> list[str]:
     return sorted(item.object.name for item in depsgraph.object_instances if item.is_instance)
 
 
+def find_view() -> bpy.types.RegionView3D:
+    """Return the view of the 3D Viewport."""
+    return next(area for area in bpy.context.screen.areas if area.type == "VIEW_3D").spaces.active.region_3d
+
+
+def duplicate() -> bpy.types.Object:
+    """Return the ball far away from the camera."""
+    return max((item for item in bpy.context.scene.objects if item.type == "MESH"), key=lambda item: item.location.length)
+
+
 def session() -> Iterator[float]:
     """Run the session; yields pauses in seconds."""
     user = UserInput()
@@ -88,6 +98,19 @@ def session() -> Iterator[float]:
     save_screenshot("4-measured")
     scene.render.resolution_percentage = 100
     results["figures"], results["instances_after"] = settings.figures, instances()
+
+    view = find_view()
+    view.view_location, view.view_distance = duplicate().location, 3.0
+    yield 0.5
+    results["far"] = instances()
+    x, y = yield from user.find_button("farfield.distance_follow_view")
+    user.press("LEFTMOUSE", x, y)
+    yield 2.0
+    results["followed"] = instances()
+    save_screenshot("5-followed")
+    user.press("LEFTMOUSE", x, y)
+    yield 1.0
+    results["not_followed"] = instances()
 
     for _ in range(4):
         yield from user.press_undo()

@@ -44,5 +44,11 @@ def test_a_measurement_shows_its_figures_and_leaves_the_levels(results):
     assert results["instances_after"] == results["instances"]
 
 
+def test_follow_view_shows_the_far_ball_from_near_until_it_is_switched_off(results):
+    assert results["far"] == results["not_followed"] != results["followed"]
+    originals = [sum(name.endswith("Level 0") for name in results[key]) for key in ("far", "followed")]
+    assert originals == [2, 1], "two balls are near the camera, and one is near the viewer"
+
+
 def test_undo_removes_the_modifiers(results):
     assert results["after_undo"] == [0, 0, 0]
