@@ -45,10 +45,7 @@ class BdamSettings(Settings):
         used_if={"texture_format": ("jpeg", "webp")},
     )
     texture_error: str = setting("magnification", "What decides how fine textures must be", choices=TEXTURE_ERRORS)
-    executor: str = setting(
-        "processes",
-        "Where patches are built: serial, processes, processes:N, or dask:tcp://HOST:PORT. Dask needs a work folder that all share",
-    )
+    executor: str = setting("processes", "Where patches are built: serial, processes, or processes:N for N at a time")
 
 
 SHADINGS = {
