@@ -1,6 +1,6 @@
 """Registration of all operators, properties and panels with Blender, unregistered in reverse order."""
 
-from .operators import documentation, follow_handlers, long_work
+from .operators import documentation, follow_handlers, long_work, presets
 from .operators.bdam import build as bdam_build
 from .operators.bdam import freeze as bdam_freeze
 from .operators.bdam import ground as bdam_ground
@@ -33,6 +33,7 @@ from .panels import distance as distance_panels
 from .panels import menus
 from .panels import packages as packages_panels
 from .panels import photos as photos_panels
+from .panels import presets as presets_panels
 from .panels import restore as restore_panels
 from .panels import texmesh as texmesh_panels
 from .panels import unwrap as unwrap_panels
@@ -41,6 +42,7 @@ MODULES = (
     long_work,
     documentation,
     follow_handlers,
+    presets,
     billboards_operators,
     btf_operators,
     btf_exports,
@@ -65,6 +67,7 @@ MODULES = (
     bdam_freeze,
     bdam_build,
     distance_operators,
+    presets_panels,
     distance_panels,  # The first panel of the tab.
     billboards_panels,
     btf_panels,

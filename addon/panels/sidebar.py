@@ -9,6 +9,7 @@ import bpy
 from ..bridge.terrain_roots import TerrainRoot
 from ..core.settings import Description, is_used
 from ..operators import documentation, follow_handlers, following, job_run, long_work, view_following
+from .presets import menu_name
 
 MESSAGE_WIDTH = 36  # characters per line at the default width of the sidebar
 
@@ -22,16 +23,20 @@ class SidebarPanel:
 
 
 class ToolPanel(SidebarPanel):
-    """Mixin of the top-level panel of a tool: a button in its header opens the page of the tool in the documentation.
+    """Mixin of the top-level panel of a tool: buttons in its header open the presets and the page of the tool in the documentation.
 
-    page: name of the page, the identifier of the tool.
+    page: name of the page, the identifier of the tool. has_presets: whether the panel shows settings of which there are presets.
     """
 
-    page = ""
+    page, has_presets = "", True
 
     def draw_header_preset(self, _context: bpy.types.Context) -> None:
-        """Draw the help button."""
-        self.layout.operator("wm.url_open", text="", icon="HELP", emboss=False).url = documentation.find_page(self.page)
+        """Draw the buttons."""
+        row = self.layout.row(align=True)
+        row.emboss = "NONE"
+        if self.has_presets:
+            row.popover(menu_name(self.page), text="", icon="PRESET")
+        row.operator("wm.url_open", text="", icon="HELP").url = documentation.find_page(self.page)
 
 
 class TerrainPanel(ToolPanel):

@@ -7,7 +7,7 @@ from ..bridge.texmesh.level_sets import ERROR, SWITCH_DISTANCE, TRIANGLES, Level
 from ..core.errors import SettingsError
 from ..core.settings import describe
 from ..core.texmesh.perception.recorded_answers import estimate_recorded
-from ..core.texmesh.settings import PRESETS, RESEARCH_GROUP, InspectionSettings, LevelSettings, ResearchSettings, SceneSettings
+from ..core.texmesh.settings import InspectionSettings, LevelSettings, ResearchSettings, SceneSettings
 from ..operators.texmesh import preview
 from ..operators.texmesh.answer_files import FARFIELD_OT_texmesh_add_answers, FARFIELD_OT_texmesh_save_answers
 from ..operators.texmesh.calibration import (
@@ -21,7 +21,6 @@ from ..operators.texmesh.operators import (
     FARFIELD_OT_texmesh_analyze,
     FARFIELD_OT_texmesh_crossfade,
     FARFIELD_OT_texmesh_levels,
-    FARFIELD_OT_texmesh_preset,
     FARFIELD_OT_texmesh_remove,
     FARFIELD_OT_texmesh_show,
     FARFIELD_OT_texmesh_show_for_camera,
@@ -34,17 +33,9 @@ LEVEL_TITLES = ("Level", "Triangles", "Distance", "Pixels")
 
 
 class TexmeshSettingsPanel(SettingsPanel):
-    """Mixin of the panels that show settings of perceptual levels. Research controls have presets."""
+    """Mixin of the panels that show settings of perceptual levels."""
 
     settings, property_name = describe(LevelSettings, SceneSettings, ResearchSettings), "farfield_texmesh"
-
-    def draw_settings(self, context: bpy.types.Context) -> None:
-        """Draw the settings of the group that count, below the presets of research controls."""
-        if self.group_name == RESEARCH_GROUP:
-            row = self.layout.row(align=True)
-            for name, (choice, _) in PRESETS.items():
-                row.operator(FARFIELD_OT_texmesh_preset.bl_idname, text=choice.label).preset = name
-        super().draw_settings(context)
 
 
 class FARFIELD_PT_texmesh(TexmeshSettingsPanel, ToolPanel, bpy.types.Panel):

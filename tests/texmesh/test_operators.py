@@ -11,7 +11,6 @@ from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.messages import first_sentences
 from farfield.addon.core.texmesh import TexmeshSettings
 from farfield.addon.core.texmesh.settings import SceneSettings
-from farfield.addon.operators import properties
 from farfield.addon.operators.job_run import run_job
 from farfield.addon.operators.texmesh import preview
 from farfield.addon.operators.texmesh.job import prepare_levels
@@ -196,17 +195,6 @@ def test_small_objects_stay_as_they_are(capsys):
     (levels,) = level_sets_in(bpy.context.scene)
     assert len(levels.levels) == 1 and len(levels.levels[0].data.polygons) == 12
     assert '"Cube" has only 12 triangles and stays as it is.' in capsys.readouterr().out
-
-
-def test_presets_set_all_research_controls_and_no_others():
-    group = bpy.context.scene.farfield_texmesh
-    group.noise, group.views, group.number = 2.0, 3, 5
-    assert bpy.ops.farfield.texmesh_preset(preset="paper") == {"FINISHED"}
-    found = properties.read(TexmeshSettings, group)
-    assert (found.analysis, found.spacing, found.removal_order, found.protected_fraction) == ("range_image", 0.0, "scale", 0.0)
-    assert found.noise == TexmeshSettings.noise and found.views == TexmeshSettings.views and found.number == 5
-    bpy.ops.farfield.texmesh_preset(preset="default")
-    assert properties.read(TexmeshSettings, group) == TexmeshSettings(number=5)
 
 
 def test_a_small_object_stays_as_it_is_beside_the_levels_of_others(ball, capsys):

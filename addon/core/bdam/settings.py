@@ -48,6 +48,7 @@ class BdamSettings(Settings):
     executor: str = setting(
         "processes",
         "Where patches are built: serial, processes, processes:N, or dask:tcp://HOST:PORT. Dask needs a work folder that all share",
+        in_presets=False,
     )
 
 

@@ -52,6 +52,7 @@ def _file_properties(options: set[str]) -> dict[str, Any]:
 class FARFIELD_PG_bdam_build(bpy.types.PropertyGroup):
     """Files and settings of the next build, stored per scene."""
 
+    settings_types = (BdamSettings,)
     __annotations__ = properties.build_annotations(BdamSettings, set()) | _file_properties(set())
 
     def files(self, kind: str) -> bpy.types.bpy_prop_collection:

@@ -29,6 +29,7 @@ ROTATION = mathutils.Euler((1.05, 0.0, 0.0))  # from the south, and down
 class FARFIELD_PG_bdam_view(bpy.types.PropertyGroup):
     """How terrains are shown, stored per scene."""
 
+    settings_types = (ViewSettings,)
     __annotations__ = properties.build_annotations(ViewSettings, set())
 
 

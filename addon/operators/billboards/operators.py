@@ -25,6 +25,7 @@ SHOW_ITEMS = [
 class FARFIELD_PG_billboards(bpy.types.PropertyGroup):
     """Settings of the panel *Billboard Cloud*, stored per scene."""
 
+    settings_types = (BillboardSettings, BuildOptions, CrossfadeSettings)
     __annotations__ = {
         name: annotation
         for settings_type in (BillboardSettings, BuildOptions, CrossfadeSettings)

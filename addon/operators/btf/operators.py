@@ -30,6 +30,7 @@ def _is_sun(_group: bpy.types.PropertyGroup, item: bpy.types.Object) -> bool:
 class FARFIELD_PG_btf(bpy.types.PropertyGroup):
     """Settings of the panel *Relightable Textures*, stored per scene."""
 
+    settings_types = (BtfSettings,)
     __annotations__ = (
         properties.build_annotations(BtfSettings, set())
         | {

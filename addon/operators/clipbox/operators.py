@@ -20,6 +20,7 @@ from .job import TerrainJob, prepare
 class FARFIELD_PG_clipbox(bpy.types.PropertyGroup):
     """Settings of the panel *Clip-Box Terrain*, stored per scene."""
 
+    settings_types = (ClipboxSettings,)
     __annotations__ = properties.build_annotations(ClipboxSettings, set())
 
 

@@ -17,6 +17,7 @@ from .job import DistanceJob, analyze, prepare
 class FARFIELD_PG_distance(bpy.types.PropertyGroup):
     """Settings of the panel *Distance-Ready*, stored per scene, and the latest analysis as JSON."""
 
+    settings_types = (DistanceSettings,)
     __annotations__ = {
         **properties.build_annotations(DistanceSettings, set()),
         "analysis": bpy.props.StringProperty(options={"HIDDEN", "SKIP_SAVE"}),

@@ -13,6 +13,7 @@ MAPS = {"name": "Maps", "description": "Also create images of confidence, source
 class FARFIELD_PG_photos(bpy.types.PropertyGroup):
     """Settings of the panel *Photo Texture*, stored per scene."""
 
+    settings_types = (PhotosSettings,)
     __annotations__ = properties.build_annotations(PhotosSettings, set()) | {"maps": bpy.props.BoolProperty(**MAPS)}
 
 

@@ -8,8 +8,7 @@ import bpy
 from ...bridge import cameras
 from ...bridge.texmesh.level_sets import LevelSet, level_sets_in, remove_level_set, set_hidden
 from ...core.messages import format_count
-from ...core.settings import describe
-from ...core.texmesh.settings import PRESETS, AnalysisSettings, ResearchSettings, SceneSettings, TexmeshSettings
+from ...core.texmesh.settings import AnalysisSettings, SceneSettings, TexmeshSettings
 from .. import long_work, properties, start_job
 from ..error_reports import report_message, reports_errors
 from ..view_following import viewport_address
@@ -23,6 +22,7 @@ NO_LEVELS = "Select a level of detail, or the object that levels were made from"
 class FARFIELD_PG_texmesh(bpy.types.PropertyGroup):
     """Settings of the panel *Perceptual Levels*, stored per scene."""
 
+    settings_types = (TexmeshSettings, SceneSettings)
     __annotations__ = properties.build_annotations(TexmeshSettings, set()) | properties.build_annotations(SceneSettings, set())
 
 
@@ -74,36 +74,6 @@ class FARFIELD_OT_texmesh_levels(start_job.StartJob, bpy.types.Operator):
         if not self.read_settings(context)[SceneSettings].cross_fade:
             return super().prepare_follow_up(context)
         return partial(preview.start_for_crossfades, viewport_address(context))
-
-
-class FARFIELD_OT_texmesh_preset(bpy.types.Operator):
-    """Set all research controls of perceptual levels"""
-
-    bl_idname = "farfield.texmesh_preset"
-    bl_label = "Set Research Controls of Perceptual Levels"
-    bl_options = {"REGISTER", "UNDO"}
-    __annotations__ = {
-        "preset": bpy.props.EnumProperty(
-            name="Preset",
-            description="Values of all research controls",
-            items=[(name, choice.label, choice.help) for name, (choice, _) in PRESETS.items()],
-        )
-    }
-
-    @classmethod
-    def description(cls, _context: bpy.types.Context, chosen: bpy.types.OperatorProperties) -> str:
-        """Return what the preset does."""
-        return PRESETS[chosen.preset][0].help
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Set the controls in the panel."""
-        choice, values = PRESETS[self.preset]
-        for item in describe(ResearchSettings):
-            value = values.get(item.name, item.default)
-            setattr(context.scene.farfield_texmesh, item.name, properties.to_blender(item, value))
-        report_message(self, f"The research controls are {choice.label}.")
-        return {"FINISHED"}
 
 
 class LevelsOperator:
@@ -264,7 +234,6 @@ register, unregister = properties.scene_settings_factory(
         FARFIELD_PG_texmesh,
         FARFIELD_OT_texmesh_analyze,
         FARFIELD_OT_texmesh_levels,
-        FARFIELD_OT_texmesh_preset,
         FARFIELD_OT_texmesh_show,
         FARFIELD_OT_texmesh_crossfade,
         FARFIELD_OT_texmesh_show_for_camera,

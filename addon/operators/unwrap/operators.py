@@ -18,6 +18,7 @@ from .job import UnwrapJob, prepare
 class FARFIELD_PG_unwrap(bpy.types.PropertyGroup):
     """Settings of the panel *View-Dependent Unwrap*, stored per scene."""
 
+    settings_types = (UnwrapSettings,)
     __annotations__ = properties.build_annotations(UnwrapSettings, set())
 
 
