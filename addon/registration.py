@@ -1,6 +1,6 @@
 """Registration of all operators, properties and panels with Blender, unregistered in reverse order."""
 
-from .operators import documentation, follow_handlers, long_work, presets
+from .operators import documentation, follow_handlers, long_work, presets, results
 from .operators.bdam import build as bdam_build
 from .operators.bdam import freeze as bdam_freeze
 from .operators.bdam import ground as bdam_ground
@@ -35,10 +35,12 @@ from .panels import packages as packages_panels
 from .panels import photos as photos_panels
 from .panels import presets as presets_panels
 from .panels import restore as restore_panels
+from .panels import results as results_panels
 from .panels import texmesh as texmesh_panels
 from .panels import unwrap as unwrap_panels
 
 MODULES = (
+    results,
     long_work,
     documentation,
     follow_handlers,
@@ -78,6 +80,7 @@ MODULES = (
     packages_panels,
     clipbox_panels,
     bdam_panels,
+    results_panels,
     menus,
 )
 

@@ -140,10 +140,10 @@ def settings_column(layout: bpy.types.UILayout) -> bpy.types.UILayout:
     return column
 
 
-def draw_message(layout: bpy.types.UILayout, message: str, icon: str) -> None:
-    """Draw a message with its icon, in as many lines as a sidebar of the default width needs."""
+def draw_message(layout: bpy.types.UILayout, message: str, icon: str, width: int = MESSAGE_WIDTH) -> None:
+    """Draw a message with its icon, in as many lines as a sidebar of the default width needs, or lines of `width` characters."""
     column = layout.column(align=True)
-    for index, line in enumerate(textwrap.wrap(message, MESSAGE_WIDTH)):
+    for index, line in enumerate(textwrap.wrap(message, width)):
         column.label(text=line, icon="BLANK1" if index else icon)
 
 
