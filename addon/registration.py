@@ -1,6 +1,6 @@
 """Registration of all operators, properties and panels with Blender, unregistered in reverse order."""
 
-from .operators import documentation, follow_handlers, long_work, presets, results
+from .operators import documentation, follow_handlers, long_work, presets, results, source_tracking
 from .operators.bdam import build as bdam_build
 from .operators.bdam import freeze as bdam_freeze
 from .operators.bdam import ground as bdam_ground
@@ -44,6 +44,7 @@ MODULES = (
     long_work,
     documentation,
     follow_handlers,
+    source_tracking,
     presets,
     billboards_operators,
     btf_operators,
