@@ -100,6 +100,25 @@ def test_several_objects_stay_selected_and_the_active_one_stays_active(ball):
     assert again.keys() == {ball, other} and bpy.context.view_layer.objects.active == again[ball][0]
 
 
+def test_cross_fade_is_switched_per_object_and_for_all(ball):
+    textured_ball(8, "Other")
+    bpy.ops.object.select_all(action="SELECT")
+    bpy.ops.farfield.texmesh_levels(**SMALL)
+    bpy.ops.object.camera_add(location=(0.0, -1e5, 0.0))
+    bpy.context.scene.camera = bpy.context.object
+    bpy.ops.object.select_all(action="DESELECT")
+    first, second = level_sets_in(bpy.context.scene)
+    bpy.context.view_layer.objects.active = first.levels[0]
+    first.levels[0].select_set(True)
+    bpy.ops.farfield.texmesh_crossfade(enable=False)
+    assert (first.has_crossfade, second.has_crossfade) == (False, True)
+    assert [level.hide_render for level in first.levels] == [True, True, False] and first.source.hide_render
+    bpy.ops.farfield.texmesh_crossfade(all_objects=True)
+    assert first.has_crossfade and second.has_crossfade
+    bpy.ops.farfield.texmesh_crossfade(enable=False, all_objects=True)
+    assert not first.has_crossfade and not second.has_crossfade
+
+
 def test_no_preview_starts_in_scripts(ball):
     make()
     assert bpy.ops.farfield.texmesh_crossfade() == {"FINISHED"}

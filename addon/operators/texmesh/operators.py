@@ -36,7 +36,7 @@ def disabled_reason(context: bpy.types.Context) -> str:
     if not objects:
         return "Select a mesh with a texture"
     reasons = [refusal(item, context.view_layer) for item in objects]
-    return reasons[0] if all(reasons) else ""
+    return reasons[0][:1].upper() + reasons[0][1:] if all(reasons) else ""
 
 
 class FARFIELD_OT_texmesh_analyze(start_job.StartJob, bpy.types.Operator):
@@ -127,29 +127,43 @@ class FARFIELD_OT_texmesh_show(LevelsOperator, bpy.types.Operator):
 
 
 class FARFIELD_OT_texmesh_crossfade(LevelsOperator, bpy.types.Operator):
-    """Cross-fade the levels of the selected objects for the active camera, also in renders without Farfield"""
+    """Cross-fade the levels of the selected objects for the active camera, also in renders without Farfield, or end it"""
 
     bl_idname = "farfield.texmesh_crossfade"
     bl_label = "Cross-Fade Perceptual Levels"
+    __annotations__ = {
+        "enable": bpy.props.BoolProperty(
+            name="Enable", description="Cross-fade. When off, show one level for the active camera", default=True, options={"SKIP_SAVE"}
+        ),
+        "all_objects": bpy.props.BoolProperty(
+            name="All", description="The levels of all objects of the scene, instead of selected ones", options={"SKIP_SAVE"}
+        ),
+    }
 
     @reports_errors
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Add a cross-fade, and let one level show in all views."""
         result = self.execute(context)
-        if context.window is not None:
+        if context.window is not None and self.enable:
             preview.start_for_crossfades(viewport_address(context))
         return result
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Add a cross-fade to all levels."""
+        """Add a cross-fade to all levels, or remove it."""
         settings = properties.read(SceneSettings, context.scene.farfield_texmesh)
-        editable = editable_level_sets(context)
+        found = level_sets_in(context.scene) if self.all_objects else selected_level_sets(context)
+        editable = [levels for levels in found if levels.is_editable and (self.enable or levels.has_crossfade)]
+        camera = cameras.read_scene_camera(context.scene)
         for levels in editable:
-            levels.add_crossfade(context.scene, settings.fade_range)
+            if self.enable:
+                levels.add_crossfade(context.scene, settings.fade_range)
+            else:
+                levels.show(0 if camera is None else levels.choose_level(camera))
             levels.hide_source(True)
             activate_visible(context, levels)
-        report_message(self, f"Cross-fading the levels of {format_count(len(editable), 'object')}.")
+        what = "Cross-fading the levels" if self.enable else "Showing one level"
+        report_message(self, f"{what} of {format_count(len(editable), 'object')}.")
         return {"FINISHED"}
 
 
