@@ -1,6 +1,6 @@
 """Registration of all operators, properties and panels with Blender, unregistered in reverse order."""
 
-from .operators import documentation, follow_handlers, long_work, presets, results, source_tracking
+from .operators import documentation, follow_handlers, long_work, presets, results, source_tracking, user_cache
 from .operators.bdam import build as bdam_build
 from .operators.bdam import freeze as bdam_freeze
 from .operators.bdam import ground as bdam_ground
@@ -30,7 +30,7 @@ from .panels import billboards as billboards_panels
 from .panels import btf as btf_panels
 from .panels import clipbox as clipbox_panels
 from .panels import distance as distance_panels
-from .panels import menus
+from .panels import menus, preferences
 from .panels import packages as packages_panels
 from .panels import photos as photos_panels
 from .panels import presets as presets_panels
@@ -45,6 +45,8 @@ MODULES = (
     documentation,
     follow_handlers,
     source_tracking,
+    user_cache,
+    preferences,
     presets,
     billboards_operators,
     btf_operators,

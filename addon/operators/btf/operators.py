@@ -14,6 +14,7 @@ from ...core.files.user_folders import open_private_folder
 from ...core.jobs.executors import parse_executor
 from .. import long_work, properties, start_job
 from ..error_reports import report_message, reports_errors
+from ..user_cache import cache_folder
 from . import estimates
 from .job import BakeJob, prepare_bake
 
@@ -72,7 +73,7 @@ class FARFIELD_OT_btf_bake(start_job.StartJob, bpy.types.Operator):
                 ("executor",),
             )
         cloud = active_cloud(context)
-        cache = estimates.cache_folder()
+        cache = cache_folder("btf")
         open_private_folder(cache)
         remove_expired(cache)
         return prepare_bake(context, cloud, settings, estimates.capture_folder(cloud, settings), keep_finished_views=False)
