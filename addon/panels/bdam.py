@@ -21,6 +21,7 @@ class FARFIELD_PT_bdam(TerrainPanel, bpy.types.Panel):
 
     bl_idname = PANEL
     bl_label = "Large Terrain"
+    bl_description = "For elevation models of any size, as detailed as the view needs them"
     page = "bdam"
     bl_options = {"DEFAULT_CLOSED"}
     terrain_type, start_button = SceneTerrain, (FARFIELD_OT_bdam_load, "Load", "FILE_FOLDER")

@@ -52,6 +52,7 @@ class FARFIELD_PT_billboards(BillboardSettingsPanel, ToolPanel, bpy.types.Panel)
 
     bl_idname = PANEL
     bl_label = "Billboard Cloud"
+    bl_description = "Textured quads for what is far away, above all trees and crowds. Before that, Perceptual Levels"
     bl_options = {"DEFAULT_CLOSED"}
     page = "billboards"
 

@@ -40,6 +40,7 @@ class FARFIELD_PT_photos(PhotosSettingsPanel, ToolPanel, bpy.types.Panel):
 
     bl_idname = PANEL
     bl_label = "Photo Texture"
+    bl_description = "For scanned meshes: one texture from photographs with known cameras"
     page = "photos"
     bl_options = {"DEFAULT_CLOSED"}
 

@@ -44,6 +44,7 @@ class FARFIELD_PT_texmesh(TexmeshSettingsPanel, ToolPanel, bpy.types.Panel):
 
     bl_idname = "FARFIELD_PT_texmesh"
     bl_label = "Perceptual Levels"
+    bl_description = "Meshes with fewer triangles for near and middle distances. Farther away, a Billboard Cloud"
     bl_options = {"DEFAULT_CLOSED"}
     page = "texmesh"
 

@@ -78,6 +78,7 @@ class UnwrapPanel(UnwrapSettingsPanel, ToolPanel):
     """Mixin of the panels in the 3D Viewport and the UV Editor: settings, the Unwrap button, and a summary of the active object's map."""
 
     bl_label = "View-Dependent Unwrap"
+    bl_description = "UV maps with little stretch, evenly or with more texels where they are seen"
     page = "unwrap"
 
     def draw(self, context: bpy.types.Context) -> None:

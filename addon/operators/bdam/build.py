@@ -70,7 +70,7 @@ class FARFIELD_OT_bdam_add_files(bpy.types.Operator):
     """Add files to the next build of a terrain"""
 
     bl_idname = "farfield.bdam_add_files"
-    bl_label = "Add Files of Large Terrain"
+    bl_label = "Add Terrain Files"
     bl_options = {"REGISTER", "UNDO"}
     __annotations__ = {
         "kind": bpy.props.EnumProperty(name="Kind", items=KINDS, options={"SKIP_SAVE"}),

@@ -9,6 +9,7 @@ from ...bridge import cameras
 from ...bridge.billboards import clouds
 from ...bridge.billboards.scene_clouds import SceneCloud, clouds_in, clouds_of_levels, find_cloud
 from ...bridge.geometry.meshes import may_have_surface
+from ...bridge.units import format_length
 from ...core.billboards.settings import BillboardSettings, BuildOptions, CrossfadeSettings
 from .. import long_work, properties, start_job
 from ..error_reports import report_message, reports_errors
@@ -202,9 +203,10 @@ class FARFIELD_OT_billboards_show_level(bpy.types.Operator):
         for cloud in scene_clouds:
             level = cloud.show_level_for(camera, context.view_layer)
             cloud.activate_visible(context)
-            shown.append(f'"{cloud.collection.name}" {"original" if level is None else f"level {level}"}')
+            near = f"original, nearer than {format_length(context.scene, camera.switch_distance(cloud.errors[0]))}"
+            shown.append(f'"{cloud.collection.name}" {near if level is None else f"level {level}"}')
         exceptions = describe_exceptions(scene_clouds, refused, context.view_layer)
-        message = f"Shown: {', '.join(shown)}." if shown else "Nothing changed."
+        message = f"Shown: {'; '.join(shown)}." if shown else "Nothing changed."
         report_message(self, f"{message} {exceptions}".strip(), "WARNING" if exceptions else "INFO")
         return {"FINISHED" if shown else "CANCELLED"}
 

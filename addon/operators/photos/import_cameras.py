@@ -37,7 +37,7 @@ class FARFIELD_OT_photos_import_cameras(bpy.types.Operator):
     """Import registered cameras of COLMAP, Metashape, NeRF programs and others, with their photographs as background images"""
 
     bl_idname = "farfield.photos_import_cameras"
-    bl_label = "Import Cameras of Photographs"
+    bl_label = "Import Photo Cameras"
     bl_options = {"REGISTER", "UNDO"}
     __annotations__ = {
         "filepath": bpy.props.StringProperty(name="File", description="File or folder with the cameras", subtype="FILE_PATH"),
