@@ -34,11 +34,11 @@ from farfield.addon.core.bdam import (
     open_field,
 )
 from farfield.addon.core.bdam.building.store_target import check_target
-from farfield.addon.core.bdam.building.terrain_build import folder_bytes
 from farfield.addon.core.bdam.fields.terrain_field import warn_of_heights
 from farfield.addon.core.bdam.settings import ViewSettings
 from farfield.addon.core.bdam.view.engine import BdamEngine
 from farfield.addon.core.errors import FileError, SettingsError
+from farfield.addon.core.files.file_access import folder_bytes
 from farfield.addon.core.files.scratch import Scratch
 from farfield.addon.core.geometry.viewers import Projection, Viewer, camera_window, look_at
 from farfield.addon.core.jobs.progress import StageClock, run_to_end

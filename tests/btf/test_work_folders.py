@@ -23,6 +23,7 @@ from farfield.addon.core.errors import FileError
 from farfield.addon.core.files import user_folders
 from farfield.addon.core.jobs.dispatch import Shard
 from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.operators import user_cache
 from farfield.addon.operators.btf import estimates
 from farfield.addon.operators.btf import job as job_module
 
@@ -32,7 +33,7 @@ posix_only = pytest.mark.skipif(os.name == "nt", reason="Windows has access cont
 @pytest.fixture(autouse=True)
 def fresh_scene(extension, tmp_path, monkeypatch):
     """An empty scene, and a cache folder of its own."""
-    monkeypatch.setattr(estimates, "user_cache_folder", lambda: tmp_path / "cache" / "farfield")
+    monkeypatch.setattr(user_cache, "user_cache_folder", lambda: tmp_path / "cache" / "farfield")
     blender_scenes.reset_scene()
 
 
@@ -63,7 +64,7 @@ def test_the_operator_uses_a_private_folder_of_the_user(monkeypatch):
     views = finished_views_of_small_cloud()
     cloud = build_small_cloud()
     folder = estimates.capture_folder(cloud, BtfSettings(**SMALL, executor="serial"))
-    assert folder == estimates.user_cache_folder() / "btf" / folder.name
+    assert folder == user_cache.user_cache_folder() / "btf" / folder.name
     prepared = []
     original = os.mkdir
 
@@ -217,7 +218,7 @@ def test_a_user_without_home_gets_a_sentence(cloud, monkeypatch):
     def no_cache():
         raise FileError("There is no home folder.")
 
-    monkeypatch.setattr(estimates, "user_cache_folder", no_cache)
+    monkeypatch.setattr(user_cache, "user_cache_folder", no_cache)
     assert estimates.count_finished_views(cloud, BtfSettings(**SMALL)) == 0
     with pytest.raises(RuntimeError, match="There is no home folder"):
         bake()

@@ -12,6 +12,7 @@ from ...core.btf.settings import BtfSettings
 from ...core.files.user_folders import open_private_folder
 from .. import long_work, properties, start_job
 from ..error_reports import report_message, reports_errors
+from ..user_cache import cache_folder
 from . import estimates
 from .job import BakeJob, prepare_bake
 
@@ -28,6 +29,7 @@ def _is_sun(_group: bpy.types.PropertyGroup, item: bpy.types.Object) -> bool:
 class FARFIELD_PG_btf(bpy.types.PropertyGroup):
     """Settings of the panel *Relightable Textures*, stored per scene."""
 
+    settings_types = (BtfSettings,)
     __annotations__ = (
         properties.build_annotations(BtfSettings, set())
         | {
@@ -64,7 +66,7 @@ class FARFIELD_OT_btf_bake(start_job.StartJob, bpy.types.Operator):
         """Read the source objects of the active cloud. Finished views are kept in a folder of the user until it ends."""
         settings = self.read_settings(context)[BtfSettings]
         cloud = active_cloud(context)
-        cache = estimates.cache_folder()
+        cache = cache_folder("btf")
         open_private_folder(cache)
         remove_expired(cache)
         return prepare_bake(context, cloud, settings, estimates.capture_folder(cloud, settings), keep_finished_views=False)

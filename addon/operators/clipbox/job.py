@@ -19,7 +19,7 @@ from ...core.clipbox.settings import ClipboxSettings
 from ...core.errors import GeometryError
 from ...core.files.file_access import check_readable
 from ...core.jobs.progress import Progress, Steps, subprogress
-from ...core.messages import format_count
+from ...core.messages import format_count, quote_names
 from ..engine_cache import cache
 
 HEIGHT_PERCENTILES = 10, 90  # percentiles of the heights of vertices between which most ground has the color of grass
@@ -63,6 +63,7 @@ class TerrainJob:
         yield Progress(0.99, "Showing meshes")
         pending.check()
         ground_image = find_ground_image(settings, origin)
+        others = [] if self.terrain is not None else SceneTerrain.in_scene(bpy.context.scene)
         if self.terrain is None:
             self.terrain = terrain_objects.create_root(bpy.context.scene, settings, self.viewer, origin)
             self.terrain.select(bpy.context.view_layer)
@@ -77,7 +78,8 @@ class TerrainJob:
         self.update = core_result
         triangles = sum(len(mesh.triangles) for mesh in core_result.meshes.values())
         summary = f'"{self.terrain.name}": {format_count(triangles, "triangle")} in {format_count(settings.boxes, "box")}.'
-        return " ".join([summary, *self.engine.warnings])
+        kept = [f"It is in addition to {quote_names(terrain.name for terrain in others)}, which Update changes."] if others else []
+        return " ".join([summary, *kept, *self.engine.warnings])
 
 
 def prepare(settings: ClipboxSettings, viewer: np.ndarray, terrain: SceneTerrain | None = None) -> TerrainJob:

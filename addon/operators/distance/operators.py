@@ -16,6 +16,7 @@ from .measuring import MeasureJob
 class FARFIELD_PG_distance(bpy.types.PropertyGroup):
     """Settings of the panel *Distance-Ready*, stored per scene, and the list of the latest analysis."""
 
+    settings_types = (DistanceSettings,)
     __annotations__ = {
         **properties.build_annotations(DistanceSettings, set()),
         "plans": bpy.props.CollectionProperty(type=FARFIELD_PG_distance_plan),

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from ...errors import FarfieldError, FileError
-from ...files.file_access import convert_os_errors
+from ...files.file_access import convert_os_errors, folder_bytes
 from ...files.sealed_files import validate_or_remove, write_sealed
 from ...geometry.placements import GeographicFrame
 from ...jobs.executors import Executor, parse_executor
@@ -281,8 +281,3 @@ def _check_free_space(out: Path, needed: int, work_folder: Path) -> None:
             f'The disk of "{place}" has {format_bytes(free)} left, and the build needs about {format_bytes(needed - kept)} there; '
             "free some space, or choose another disk."
         )
-
-
-def folder_bytes(folder: Path) -> int:
-    """Return the size of all files in a folder. Raises OSError."""
-    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
