@@ -1,6 +1,5 @@
 """What the frames of a camera show is what geometry nodes instance there."""
 
-import math
 from collections import Counter
 
 import bpy
@@ -16,9 +15,10 @@ from farfield.addon.core.distance.forecasts import MAX_ERROR, PlacedLevels, find
 pytestmark = pytest.mark.usefixtures("empty_scene")
 
 
-def placed(nearest: list[float], error_factor: float = 1.0) -> PlacedLevels:
+def placed(nearest: list[float], error_factor: float = 1.0, is_seen: bool = True) -> PlacedLevels:
     sizes = np.array([nearest])
-    return PlacedLevels(np.array(SIZES), np.array([100, 10, 1]), error_factor, sizes, sizes * 1.001)
+    seen = np.array([is_seen])
+    return PlacedLevels(np.array(SIZES), np.array([100, 10, 1]), error_factor, sizes, sizes * 1.001, np.broadcast_to(seen, sizes.shape))
 
 
 @pytest.mark.parametrize("fade_range", [0.0, 0.3])
@@ -42,8 +42,8 @@ def test_a_forecast_counts_what_a_render_instances(kind, max_error, fade_range):
     assert len(found) > 1 or kind == "ORTHO"
 
 
-def test_places_that_are_not_seen_have_the_coarsest_level():
-    assert forecast([placed([math.inf, 0.0])], 1.0, 0.2).counts[0].tolist() == [[1, 0, 1]]
+def test_places_that_are_not_seen_are_coarser_and_never_the_original():
+    assert forecast([placed([0.0, 0.012, 0.013], is_seen=False)], 1.0, 0.2).counts[0].tolist() == [[0, 2, 1]]
 
 
 def test_triangles_of_several_assets_and_an_error_factor():

@@ -134,7 +134,7 @@ def test_foliage_gets_fewer_and_larger_leaves_instead_of_a_cloud(camera):
         assert [material.name for material in level.data.materials] == ["Leaf", "Bark"]
         assert {polygon.material_index for polygon in level.data.polygons} == {0, 1}, "the stem stays"
         assert level.data.texspace_size == bush.data.texspace_size, "patterns by Generated coordinates stay where they are"
-        assert np.allclose(read_attribute(level.data.attributes["Tint"]), 0.25)
+        assert np.allclose(read_attribute(level.data.attributes["Tint"]), 0.25) and level.data.attributes["Tint"].domain == "POINT"
     bpy.ops.farfield.distance_remove()
     assert describe_file() == before
 

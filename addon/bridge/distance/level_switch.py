@@ -2,7 +2,8 @@
 
 They need no extension: geometry nodes read the active camera, and drivers its lens and the resolution. A level is instanced only where it
 shows, so renders load only levels that are needed. While two levels fade into each other, both are instanced, with materials that
-cross-fade for each camera ray, see `lod_crossfade`. What the camera does not see is the coarsest level, for its shadow and reflections.
+cross-fade for each camera ray, see `lod_crossfade`. What the camera does not see is coarser, for its shadow and reflections, and never the
+original, which would take the most memory.
 """
 
 from dataclasses import dataclass, replace
@@ -10,25 +11,23 @@ from enum import Enum
 
 import bpy
 
+from ...core.distance.forecasts import MARGIN, UNSEEN_EXCESS, UNSEEN_FACTOR
 from ...core.geometry.cameras import Camera
 from ..lod_crossfade import CONSTANT, GROWTH, INSTANCE_CAMERA, INSTANCE_PIXEL, PIXELS, SCENE_PATHS
 from ..objects import drive_by_scene
 from ..shading.node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
 
-NAME, VERSION = "Farfield Levels by Distance", 3
+NAME, VERSION = "Farfield Levels by Distance", 4
 VIEW_NAME, VIEW_VERSION = "Farfield Active Camera", 2
 TREE = "GeometryNodeTree"
 MAX_ERROR = "Max Error"  # Input of the modifiers: what a level may leave out, in pixels.
 SEPARATION = 1e-5  # Of the distance, by which levels that fade are moved apart: where surfaces coincide, Cycles misses one of them.
 TINY_BOX = 1e-20  # Size of the bounding box of an instance that has only other instances.
 MAX_NESTING = 4  # Levels of instances of instances, such as of a collection with collections.
-MARGIN = 0.1  # Radians around the image, for motion blur and shifted lenses.
 # The tangent of the angle between the view direction and the corners of the image; as large as possible where everything may be seen.
 DIAGONAL = f"1e6 if t!=0 else tan(a/2)/{PIXELS}*hypot(x,y)*p/100+hypot(i,j)*2*tan(a/2)"
 VIEW_VALUES = {"Growth": GROWTH, "Constant": CONSTANT, "Diagonal": DIAGONAL}
 VIEW_PATHS = SCENE_PATHS | {"i": "camera.data.shift_x", "j": "camera.data.shift_y"}
-
-
 # Values of the view that a viewport shows instead of that of the active camera, while it follows the user's: 1, the position, and sizes.
 VIEWPORT_VALUES = ("Follows Viewport", "Viewport X", "Viewport Y", "Viewport Z", "Viewport Growth", "Viewport Constant")
 EVERYTHING = 1e6  # The diagonal of a view to all sides.
@@ -210,8 +209,13 @@ def _choose(
     nearest, farthest = (pixel_size(builder.math(operation, distance, radius)) for operation in ("SUBTRACT", "ADD"))
     is_seen = _is_seen(builder, view, offset, distance, radius)
     is_exact = builder.boolean("OR", view.is_viewport, builder.less(given["Fade Range"], 1e-6))
+    is_exact = builder.boolean("OR", is_exact, builder.boolean("NOT", is_seen))
+    if count > 1:
+        unseen = builder.math("MULTIPLY", nearest, UNSEEN_FACTOR)
+        unseen = builder.math("MAXIMUM", unseen, builder.math("MULTIPLY", given["Pixel Size 1"], UNSEEN_EXCESS))
+        nearest = builder.switch(is_seen, unseen, nearest, "FLOAT")
     factor = builder.math("ADD", given["Fade Range"], 1.0)
-    may_fade = builder.boolean("AND", is_seen, builder.boolean("NOT", is_exact))
+    may_fade = builder.boolean("NOT", is_exact)
     safe_scale = builder.math("MAXIMUM", scale, 1e-20)
     pixel = builder.combine(builder.math("DIVIDE", view.growth, safe_scale), builder.math("DIVIDE", view.constant, safe_scale), 1.0)
     found = []
@@ -227,7 +231,6 @@ def _choose(
             is_partial = builder.boolean("OR", builder.less(end, farthest), is_partial)
             end = builder.switch(is_exact, builder.math("MULTIPLY", end, factor), end, "FLOAT")
             is_shown = builder.boolean("AND", builder.boolean("NOT", builder.less(end, nearest)), is_shown)
-        is_shown = builder.switch(is_seen, number == count - 1, is_shown, "BOOLEAN")
         fades = builder.boolean("AND", may_fade, is_partial)
         found.append((builder.boolean("AND", is_shown, builder.boolean("NOT", fades)), builder.boolean("AND", is_shown, fades)))
     return pixel, builder.vector("SCALE", offset, SEPARATION), found

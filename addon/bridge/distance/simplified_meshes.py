@@ -136,7 +136,7 @@ def _take_corners(evaluated: EvaluatedMesh, positions: np.ndarray, sources: np.n
     _, face_normals = face_areas_and_normals(positions)
     normals = np.where(is_flat[:, None, None], face_normals[:, None], normals).astype(np.float32)
     attributes = {
-        name: MeshAttribute("CORNER", _at_corners(evaluated, attribute, faces, corners).reshape(sources.size, -1))
+        name: MeshAttribute("POINT" if attribute.domain == "POINT" else "CORNER", _at_corners(evaluated, attribute, faces, corners))
         for name, attribute in evaluated.attributes.items()
     }
     return replace(
@@ -153,12 +153,12 @@ def _take_corners(evaluated: EvaluatedMesh, positions: np.ndarray, sources: np.n
 
 
 def _at_corners(evaluated: EvaluatedMesh, attribute: MeshAttribute, faces: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Return the values (N, 3, width) of an attribute at corners of a mesh."""
+    """Return the values (3 N, width) of an attribute at corners (N, 3) of a mesh."""
     if attribute.domain == "CORNER":
-        return attribute.values[evaluated.loops[faces, corners]]
-    if attribute.domain == "POINT":
-        return attribute.values[evaluated.triangles[faces, corners]]
-    return attribute.values[evaluated.polygons[faces]]
+        rows = evaluated.loops[faces, corners]
+    else:
+        rows = evaluated.triangles[faces, corners] if attribute.domain == "POINT" else evaluated.polygons[faces]
+    return attribute.values[rows.ravel()]
 
 
 def _join(meshes: Sequence[EvaluatedMesh]) -> EvaluatedMesh:

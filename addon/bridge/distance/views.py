@@ -64,15 +64,9 @@ def read_views(scene: bpy.types.Scene) -> list[View]:
 
 def place_levels(asset: Asset, chain: Chain, error_factor: float, views: Sequence[View]) -> PlacedLevels:
     """Return the levels of an asset with the sizes of pixels at its places."""
-    sizes = measure_places(asset, views)
-    return PlacedLevels(np.array(chain.pixel_sizes), np.array(chain.triangles, np.int64), error_factor, *sizes)
-
-
-def measure_places(asset: Asset, views: Sequence[View]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the sizes (F, N) of a pixel at the nearest and at the farthest point of each place, for each view, see `View.measure`."""
     spheres = asset.spheres
-    sizes = [view.measure(*spheres) for view in views]
-    return np.array([nearest for nearest, _ in sizes]), np.array([farthest for _, farthest in sizes])
+    sizes = (np.array(values) for values in zip(*(view.measure(*spheres) for view in views), strict=True))
+    return PlacedLevels(np.array(chain.pixel_sizes), np.array(chain.triangles, np.int64), error_factor, *sizes)
 
 
 def count_image_bytes(objects: Sequence[bpy.types.Object]) -> dict[bpy.types.Image, int]:

@@ -28,11 +28,19 @@ def write_evaluated_mesh(mesh: bpy.types.Mesh, evaluated: EvaluatedMesh) -> None
     _write_normals(mesh, evaluated.normals[evaluated.loops[kept]])
     for name in evaluated.attributes:
         if name in required:
-            write_attribute(mesh, name, "CORNER", evaluated.at_corners(name, kept))
+            _write_attribute(mesh, evaluated, name, kept, used[triangles].ravel())
     if evaluated.uv_map:
         mesh.uv_layers[evaluated.uv_map].active_render = True
     if evaluated.color:
         mesh.attributes.default_color_name = evaluated.color
+
+
+def _write_attribute(mesh: bpy.types.Mesh, evaluated: EvaluatedMesh, name: str, kept: np.ndarray, vertices: np.ndarray) -> None:
+    """Write an attribute of the triangles `kept` (K,), whose merged corners are `vertices` (3 K,) of the mesh that was read. It stays one
+    of vertices if those that were merged agree, since corners take several times the memory."""
+    attribute, values = evaluated.attributes[name], evaluated.at_corners(name, kept)
+    is_point = attribute.domain == "POINT" and np.array_equal(attribute.values[vertices], values.reshape(len(vertices), -1))
+    write_attribute(mesh, name, "POINT" if is_point else "CORNER", attribute.values[np.unique(vertices)] if is_point else values)
 
 
 def _write_normals(mesh: bpy.types.Mesh, normals: np.ndarray) -> None:

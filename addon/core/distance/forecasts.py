@@ -12,6 +12,8 @@ import numpy as np
 from ..geometry.cameras import Camera
 
 MARGIN = 0.1  # Radians around the image, for motion blur and shifted lenses.
+UNSEEN_FACTOR = 4.0  # Of the size of a pixel where the camera does not see: shadows are soft, but those of the coarsest level are spots.
+UNSEEN_EXCESS = 1.001  # Of that size above the one from which the first level after the original shows, at least.
 MAX_ERROR = 16.0  # Pixels.
 STEPS = 24  # Of the bisection for a budget.
 
@@ -28,9 +30,9 @@ class View:
     direction: np.ndarray
     diagonal: float = math.inf
 
-    def measure(self, centers: np.ndarray, radii: np.ndarray, scales: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the sizes (N,) of a pixel at the nearest and at the farthest point of spheres, in units of their assets; infinite where a
-        sphere is not seen.
+    def measure(self, centers: np.ndarray, radii: np.ndarray, scales: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the sizes (N,) of a pixel at the nearest and at the farthest point of spheres, in units of their assets, and whether (N,)
+        each may be seen.
 
         Args:
             centers: (N, 3) world space.
@@ -47,7 +49,7 @@ class View:
         if self.camera.field_of_view == 0.0:
             growth = 0.0
         sizes = [(np.maximum(at, 0.0) * growth + constant) / np.maximum(scales, 1e-20) for at in (distances - radii, distances + radii)]
-        return np.where(is_seen, sizes[0], np.inf), np.where(is_seen, sizes[1], np.inf)
+        return *sizes, is_seen
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,7 @@ class PlacedLevels:
         error_factor: by which the allowed error of the asset differs from that of others.
         nearest: (F, N) size of a pixel at the nearest point of each place, for each frame, see `View.measure`.
         farthest: (F, N) the same at the farthest point.
+        is_seen: (F, N) bool, whether the frame may show the place.
     """
 
     pixel_sizes: np.ndarray
@@ -67,17 +70,20 @@ class PlacedLevels:
     error_factor: float
     nearest: np.ndarray
     farthest: np.ndarray
+    is_seen: np.ndarray
 
     def count_shown(self, max_error: float, fade_range: float) -> np.ndarray:
         """Return how many places (F, L) render each level in each frame. Within the fade range, a place renders two."""
         error = max_error * self.error_factor
-        near, far = (error * sizes[:, :, None] for sizes in (self.nearest, self.farthest))
+        near, far = (error * sizes for sizes in (self.nearest, self.farthest))
+        if len(self.pixel_sizes) > 1:
+            near = np.where(self.is_seen, near, np.maximum(UNSEEN_FACTOR * near, UNSEEN_EXCESS * self.pixel_sizes[1]))
+        ranges = np.where(self.is_seen, fade_range, 0.0)[:, :, None]
+        near, far = near[:, :, None], far[:, :, None]
         ends = np.append(self.pixel_sizes[1:], np.inf)
-        begins = self.pixel_sizes < (far if fade_range > 0.0 else near)
+        begins = self.pixel_sizes < np.where(ranges > 0.0, far, near)
         begins[..., 0] = True
-        is_shown = begins & ~(ends * (1.0 + fade_range) < near)
-        is_shown[np.isinf(self.nearest)] = np.arange(len(ends)) == len(ends) - 1
-        return is_shown.sum(axis=1)
+        return (begins & ~(ends * (1.0 + ranges) < near)).sum(axis=1)
 
 
 @dataclass(frozen=True)

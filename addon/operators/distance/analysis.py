@@ -106,9 +106,8 @@ def _describe(asset: Asset, views: Sequence[View], outcome: str, image_size: tup
     nearest, pixels = [0.0], [0.0]
     for view in views:
         nearest.append(float(np.linalg.norm(centers - view.camera.position, axis=1).min()))
-        near, far = view.measure(centers, radii, scales)
-        with np.errstate(invalid="ignore"):
-            extents = np.where(np.isinf(near), 0.0, 2.0 * radii / np.maximum(scales * 0.5 * (near + far), 1e-20))
+        near, far, is_seen = view.measure(centers, radii, scales)
+        extents = np.where(is_seen, 2.0 * radii / np.maximum(scales * 0.5 * (near + far), 1e-20), 0.0)
         pixels.append(min(float(extents.max()), float(max(image_size))))
     images = sum(count_image_bytes(asset.objects).values())
     return Plan(
