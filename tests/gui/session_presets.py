@@ -37,6 +37,7 @@ def close_menu(user: UserInput) -> Iterator[float]:
 def session() -> Iterator[float]:
     """Run the session; yields pauses in seconds."""
     user = UserInput()
+    results["processes"] = bpy.context.preferences.addons[module("addon.operators.user_cache").PACKAGE].preferences.processes
     bpy.data.objects.remove(bpy.data.objects["Cube"])
     bpy.ops.ed.undo_push(message="Remove Cube")
     open_panel_alone("clipbox")
