@@ -105,7 +105,7 @@ def list_instances(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[str, tuple[
 
 
 def shown() -> list[tuple[str, tuple[int, ...]]]:
-    """Return what the viewport shows."""
+    """Return what the viewport shows, which never fades."""
     bpy.context.view_layer.update()
     return sorted(list_instances(bpy.context.evaluated_depsgraph_get()))
 
@@ -122,8 +122,9 @@ class RecordingEngine(bpy.types.RenderEngine):
         type(self).instances = sorted(list_instances(depsgraph))
 
 
-def rendered() -> list[tuple[str, tuple[int, ...]]]:
-    """Return what a render of the current frame has to show."""
+def rendered(named_fading: bool = False) -> list[tuple[str, tuple[int, ...]]]:
+    """Return what a render of the current frame has to show. Objects with materials that fade have the names of those without, unless they
+    are `named_fading`."""
     bpy.utils.register_class(RecordingEngine)
     try:
         bpy.context.scene.render.engine = RecordingEngine.bl_idname
@@ -131,7 +132,7 @@ def rendered() -> list[tuple[str, tuple[int, ...]]]:
     finally:
         bpy.context.scene.render.engine = "CYCLES"
         bpy.utils.unregister_class(RecordingEngine)
-    return RecordingEngine.instances
+    return [(name if named_fading else name.removesuffix(" Fading"), place) for name, place in RecordingEngine.instances]
 
 
 def describe_file() -> dict[str, object]:

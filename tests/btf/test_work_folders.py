@@ -19,9 +19,8 @@ from bridge.bakes import SMALL, build_small_cloud, copy_finished_views, finished
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
 from farfield.addon.bridge.btf.capture.snapshot import METADATA_FILE, may_run_python_drivers, open_snapshot
 from farfield.addon.core.btf.settings import BtfSettings
-from farfield.addon.core.errors import FarfieldError, FileError
+from farfield.addon.core.errors import FileError
 from farfield.addon.core.files import user_folders
-from farfield.addon.core.jobs import executors
 from farfield.addon.core.jobs.dispatch import Shard
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.operators import user_cache
@@ -121,14 +120,6 @@ def test_the_name_of_a_cloud_does_not_choose_a_folder(cloud, tmp_path, name):
     (job,) = btf.prepare_jobs(BtfSettings(**SMALL), work, [])
     assert job.folder.parent == work
     assert [path.name for path in tmp_path.iterdir()] == ["jail"] and [path.name for path in work.parent.iterdir()] == ["work"]
-
-
-def test_a_scheduler_that_does_not_answer_leaves_nothing(cloud, tmp_path, monkeypatch):
-    pytest.importorskip("distributed")
-    monkeypatch.setattr(executors, "CONNECT_SECONDS", 0.1)
-    with pytest.raises(FarfieldError, match="No Dask scheduler answers"):
-        btf.prepare_jobs(BtfSettings(**SMALL | {"executor": "dask:tcp://127.0.0.1:9"}), tmp_path / "new" / "work", [])
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_later_run_in_the_same_folder_takes_over(cloud, tmp_path):
@@ -246,8 +237,7 @@ def test_damaged_finished_views_are_captured_again(tmp_path):
     assert path.read_bytes() == undamaged
 
 
-def test_a_scheduler_on_another_machine_needs_online_access(cloud):
-    assert not bpy.app.online_access
-    with pytest.raises(RuntimeError, match="Allow Online Access"):
+def test_the_operator_spreads_over_processes_only(cloud):
+    with pytest.raises(RuntimeError, match="Executor must be serial, processes"):
         bpy.ops.farfield.btf_bake(**SMALL, executor="dask:tcp://farm.example:8786")
-    assert not user_cache.user_cache_folder().exists(), "refused before anything is written"
+    assert not estimates.capture_folder(cloud, BtfSettings(**SMALL)).exists(), "refused before anything is written"

@@ -1,6 +1,8 @@
 """Which candidates become levels."""
 
-from farfield.addon.core.distance import LevelCandidate, choose_levels, combine_levels
+import pytest
+
+from farfield.addon.core.distance import LevelCandidate, choose_levels, combine_levels, needs_cloud
 
 
 def candidates(*numbers: tuple[int, float]) -> list[LevelCandidate]:
@@ -26,3 +28,8 @@ def test_objects_together_have_the_coarsest_level_that_each_allows():
 
 def test_the_original_is_always_the_first_level():
     assert choose_levels(candidates((12, 0.0))) == [0]
+
+
+@pytest.mark.parametrize(("triangles", "pixel_size", "expected"), [(500, 1.0, False), (501, 1.0, True), (500, 1.1, True)])
+def test_a_cloud_is_needed_where_no_light_mesh_shows_a_small_object(triangles, pixel_size, expected):
+    assert needs_cloud(candidates((9000, 0.0), (triangles, pixel_size)), side=8.0) is expected

@@ -3,13 +3,15 @@
 from functools import partial
 
 import bpy
+import numpy as np
 import pytest
 
 from distance_scenes import add_box, add_camera, add_scatter, describe_file, rendered, shown
 from farfield.addon.bridge.distance.chains import read_chains
 from farfield.addon.bridge.distance.level_switch import MAX_ERROR, level_modifiers
 from farfield.addon.bridge.distance.placing import QUADS
-from farfield.addon.compat import read_node_input
+from farfield.addon.bridge.geometry.mesh_arrays import read_attribute, write_attribute
+from farfield.addon.compat import enable_nodes, read_node_input
 from farfield.addon.core.billboards.settings import BillboardSettings
 from farfield.addon.core.distance.settings import DistanceSettings
 from farfield.addon.core.jobs.progress import run_to_end
@@ -60,7 +62,7 @@ def test_perceptual_levels_of_an_object_and_its_linked_duplicate(camera):
     bpy.context.scene.collection.objects.link(duplicate)
     duplicate.location = (0.0, 5000.0, 0.0)
     before = describe_file()
-    build(**QUICK)
+    build(**QUICK, fade_range=20.0)
     (chain,) = read_chains()
     assert len(chain.collections) >= 2 and chain.triangles == sorted(chain.triangles, reverse=True)
     assert chain.triangles[0] == count_triangles(ball) and chain.pixel_sizes == sorted(chain.pixel_sizes)
@@ -68,7 +70,9 @@ def test_perceptual_levels_of_an_object_and_its_linked_duplicate(camera):
     last = len(chain.collections) - 1
     assert shown() == rendered() == [("Ball Level 0", (0, 5, 0)), (f"Ball Level {last}", (0, 5000, 0))]
     first = chain.collections[0].objects[0]
-    assert first.data == ball.data and first.material_slots[0].material != ball.material_slots[0].material
+    assert first.data == ball.data and first.material_slots[0].material == ball.material_slots[0].material
+    fading = chain.fading[0].objects[0]
+    assert fading.data == ball.data and fading.material_slots[0].material != ball.material_slots[0].material
     assert bpy.ops.farfield.distance_remove() == {"FINISHED"}
     assert describe_file() == before
 
@@ -89,6 +93,64 @@ def test_a_billboard_cloud_of_a_scatter(camera):
     assert ("Box Level 0", (0, 5, 0)) in shown()
     bpy.ops.farfield.distance_remove()
     kind.modifiers.clear()
+    assert describe_file() == before
+
+
+def add_bush() -> bpy.types.Object:
+    """Add 500 leaves of six triangles with a color attribute, distributed in a ball with a radius of 1, and a stem."""
+    random = np.random.default_rng(0)
+    angles = np.arange(6) * np.pi / 3.0
+    leaf = 0.05 * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(6)])
+    turns = np.linalg.qr(random.normal(size=(500, 3, 3)))[0]
+    places = random.normal(size=(500, 1, 3))
+    places *= random.uniform(size=(500, 1, 1)) ** (1 / 3) / np.linalg.norm(places, axis=2, keepdims=True)
+    vertices = np.concatenate([(leaf @ turns + places).reshape(-1, 3), [(-0.1, 0.0, -1.0), (0.1, 0.0, -1.0), (0.0, 0.0, 1.0)]])
+    mesh = bpy.data.meshes.new("Bush")
+    mesh.from_pydata(vertices, [], [*np.arange(3000).reshape(-1, 6).tolist(), (3000, 3001, 3002)])
+    write_attribute(mesh, "Tint", "POINT", np.full((len(vertices), 4), 0.25))
+    for name in ("Leaf", "Bark"):
+        mesh.materials.append(bpy.data.materials.new(name))
+        enable_nodes(mesh.materials[-1])
+    mesh.polygons[500].material_index = 1
+    color_node = mesh.materials[0].node_tree.nodes.new("ShaderNodeVertexColor")
+    color_node.layer_name = "Tint"
+    bush = bpy.data.objects.new("Bush", mesh)
+    bpy.context.scene.collection.objects.link(bush)
+    bush.location, bush.scale = (0.0, 5.0, 0.0), (2.0, 2.0, 2.0)
+    return bush
+
+
+def test_foliage_gets_fewer_and_larger_leaves_instead_of_a_cloud(camera):
+    bush = add_bush()
+    before = describe_file()
+    build(min_triangles=10)
+    (chain,) = read_chains()
+    assert chain.triangles[0] == 2001 and chain.triangles[1] <= 0.5 * 2001 and len(chain.collections) >= 3
+    total = sum(polygon.area for polygon in bush.data.polygons)
+    for collection, triangles in zip(chain.collections[1:], chain.triangles[1:], strict=True):
+        (level,) = collection.objects
+        assert count_triangles(level) == triangles and "farfield_quads" not in level
+        assert sum(polygon.area for polygon in level.data.polygons) == pytest.approx(total, rel=0.1)
+        assert [material.name for material in level.data.materials] == ["Leaf", "Bark"]
+        assert {polygon.material_index for polygon in level.data.polygons} == {0, 1}, "the stem stays"
+        assert level.data.texspace_size == bush.data.texspace_size, "patterns by Generated coordinates stay where they are"
+        assert np.allclose(read_attribute(level.data.attributes["Tint"]), 0.25)
+    bpy.ops.farfield.distance_remove()
+    assert describe_file() == before
+
+
+def test_a_heavy_object_is_decimated(camera, monkeypatch):
+    monkeypatch.setattr(distance_build, "MAX_PERCEPTUAL_TRIANGLES", 100)
+    ball = textured_ball(16, "Ball")
+    total = count_triangles(ball)
+    before = describe_file()
+    build(**QUICK)
+    (chain,) = read_chains()
+    assert chain.triangles[0] == total and abs(chain.triangles[1] - total / 4) < 0.05 * total
+    assert 50 <= chain.triangles[-1] < 250 and chain.pixel_sizes == sorted(chain.pixel_sizes)
+    first = chain.collections[1].objects[0]
+    assert len(first.data.uv_layers) == 1 and first.data.materials[0] == ball.data.materials[0]
+    bpy.ops.farfield.distance_remove()
     assert describe_file() == before
 
 

@@ -12,7 +12,7 @@ from ..objects import world_matrix
 from ..shading.node_builder import nodes_in
 from .assets import Asset
 
-VERSION = 2  # Of the levels that are made; a change makes all levels again.
+VERSION = 3  # Of the levels that are made; a change makes all levels again.
 # Settings that concern which objects get levels, and where these show, not the levels.
 OF_PLACES = {"min_triangles", "max_error", "triangle_budget", "texture_budget"}
 

@@ -1,8 +1,8 @@
 """Node groups that show each object, and each instance, as the level of detail that its distance to the active camera requires.
 
 They need no extension: geometry nodes read the active camera, and drivers its lens and the resolution. A level is instanced only where it
-shows, so renders load only levels that are needed. The levels' materials cross-fade for each camera ray, see `lod_crossfade`; while two
-levels fade into each other, both are instanced. What the camera does not see is the coarsest level, for its shadow and reflections.
+shows, so renders load only levels that are needed. While two levels fade into each other, both are instanced, with materials that
+cross-fade for each camera ray, see `lod_crossfade`. What the camera does not see is the coarsest level, for its shadow and reflections.
 """
 
 from dataclasses import dataclass, replace
@@ -11,11 +11,11 @@ from enum import Enum
 import bpy
 
 from ...core.geometry.cameras import Camera
-from ..lod_crossfade import ALWAYS_SHOWN, CONSTANT, FADES, GROWTH, INSTANCE_CAMERA, INSTANCE_PIXEL, PIXELS, SCENE_PATHS
+from ..lod_crossfade import CONSTANT, GROWTH, INSTANCE_CAMERA, INSTANCE_PIXEL, PIXELS, SCENE_PATHS
 from ..objects import drive_by_scene
 from ..shading.node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
 
-NAME, VERSION = "Farfield Levels by Distance", 2
+NAME, VERSION = "Farfield Levels by Distance", 3
 VIEW_NAME, VIEW_VERSION = "Farfield Active Camera", 2
 TREE = "GeometryNodeTree"
 MAX_ERROR = "Max Error"  # Input of the modifiers: what a level may leave out, in pixels.
@@ -99,7 +99,7 @@ def ensure_level_switch(count: int, places: Places) -> bpy.types.NodeTree:
     sockets = [("Geometry", "Geometry"), ("Center", "Vector"), ("Radius", "Float"), (MAX_ERROR, "Float"), ("Fade Range", "Float")]
     sockets += [("Low", "Vector"), ("High", "Vector"), ("Tolerance", "Float")] if places is Places.MATCHING else []
     for number in range(count):
-        sockets += [(f"Level {number}", "Collection"), (f"Pixel Size {number}", "Float")]
+        sockets += [(f"Level {number}", "Collection"), (f"Fading Level {number}", "Collection"), (f"Pixel Size {number}", "Float")]
 
     def fill(builder: NodeBuilder) -> None:
         _fill(GeometryBuilder(builder.tree), count, places)
@@ -132,21 +132,33 @@ def _fill(builder: GeometryBuilder, count: int, places: Places) -> None:
     to_local = builder.call("FunctionNodeInvertMatrix", {0: own.outputs["Transform"]}).outputs[0]
     shift = builder.call("FunctionNodeTransformDirection", {0: shift, 1: to_local}).outputs[0]
     join = builder.node("GeometryNodeJoinGeometry")
-    for number, is_shown in enumerate(conditions):
-        level = builder.call("GeometryNodeCollectionInfo", {0: given[f"Level {number}"]}).outputs[0]
-        part = builder.call("GeometryNodeInstanceOnPoints", {0: points, 1: is_shown, 2: level}).outputs[0]
-        if local is not None:
-            part = builder.call("GeometryNodeSetInstanceTransform", {0: part, 2: local}).outputs[0]
+    for number, (is_plain, is_fading) in enumerate(conditions):
+        plain = _instance(builder, points, is_plain, given[f"Level {number}"], local)
+        builder.tree.links.new(plain, join.inputs[0])
+        fading = _instance(builder, points, is_fading, given[f"Fading Level {number}"], local)
         if number:
-            inputs = {0: part, "Translation": builder.vector("SCALE", shift, float(number)), "Local Space": False}
-            part = builder.call("GeometryNodeTranslateInstances", inputs).outputs[0]
+            inputs = {0: fading, "Translation": builder.vector("SCALE", shift, float(number)), "Local Space": False}
+            fading = builder.call("GeometryNodeTranslateInstances", inputs).outputs[0]
         for name, value in ((INSTANCE_CAMERA, view.position), (INSTANCE_PIXEL, pixel)):
             properties = {"domain": "INSTANCE", "data_type": "FLOAT_VECTOR"}
-            part = builder.call("GeometryNodeStoreNamedAttribute", {0: part, "Name": name, "Value": value}, properties).outputs[0]
-        builder.tree.links.new(part, join.inputs[0])
+            fading = builder.call("GeometryNodeStoreNamedAttribute", {0: fading, "Name": name, "Value": value}, properties).outputs[0]
+        builder.tree.links.new(fading, join.inputs[0])
     if rest is not None:
         builder.tree.links.new(rest, join.inputs[0])
     builder.tree.links.new(join.outputs[0], result)
+
+
+def _instance(
+    builder: GeometryBuilder,
+    points: bpy.types.NodeSocket,
+    selection: SocketOrValue,
+    collection: bpy.types.NodeSocket,
+    local: bpy.types.NodeSocket | None,
+) -> bpy.types.NodeSocket:
+    """Return instances of a collection at the selected points, with the matrix `local` that these have."""
+    level = builder.call("GeometryNodeCollectionInfo", {0: collection}).outputs[0]
+    part = builder.call("GeometryNodeInstanceOnPoints", {0: points, 1: selection, 2: level}).outputs[0]
+    return part if local is None else builder.call("GeometryNodeSetInstanceTransform", {0: part, 2: local}).outputs[0]
 
 
 def _capture(
@@ -179,9 +191,9 @@ def _has_bounds(builder: GeometryBuilder, given: bpy.types.bpy_prop_collection) 
 
 def _choose(
     builder: GeometryBuilder, given: bpy.types.bpy_prop_collection, view: View, to_world: bpy.types.NodeSocket, count: int
-) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket, list[bpy.types.NodeSocket]]:
-    """Return the attribute `INSTANCE_PIXEL` of each place, how far each level is moved in world space with respect to the one before, and
-    for each level where it is instanced."""
+) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket, list[tuple[SocketOrValue, SocketOrValue]]]:
+    """Return the attribute `INSTANCE_PIXEL` of each place, how far each level that fades is moved in world space with respect to the one
+    before, and for each level where it is instanced without and with a fade."""
     axes = builder.vector("ABSOLUTE", builder.call("FunctionNodeSeparateTransform", {0: to_world}).outputs[2])
     scale = builder.math("MULTIPLY", builder.vector("LENGTH", axes), 3.0**-0.5)
     center = builder.transform_point(given["Center"], to_world)
@@ -199,22 +211,26 @@ def _choose(
     is_seen = _is_seen(builder, view, offset, distance, radius)
     is_exact = builder.boolean("OR", view.is_viewport, builder.less(given["Fade Range"], 1e-6))
     factor = builder.math("ADD", given["Fade Range"], 1.0)
-    is_fading = builder.boolean("AND", is_seen, builder.boolean("NOT", is_exact))
-    state = builder.switch(is_fading, ALWAYS_SHOWN, FADES, "FLOAT")
+    may_fade = builder.boolean("AND", is_seen, builder.boolean("NOT", is_exact))
     safe_scale = builder.math("MAXIMUM", scale, 1e-20)
-    pixel = builder.combine(builder.math("DIVIDE", view.growth, safe_scale), builder.math("DIVIDE", view.constant, safe_scale), state)
+    pixel = builder.combine(builder.math("DIVIDE", view.growth, safe_scale), builder.math("DIVIDE", view.constant, safe_scale), 1.0)
     found = []
     for number in range(count):
         is_shown: SocketOrValue = True
+        is_partial: SocketOrValue = False
         if number:
             start = given[f"Pixel Size {number}"]
             is_shown = builder.less(start, builder.switch(is_exact, farthest, nearest, "FLOAT"))
+            is_partial = builder.less(nearest, builder.math("MULTIPLY", start, factor))
         if number < count - 1:
             end = given[f"Pixel Size {number + 1}"]
+            is_partial = builder.boolean("OR", builder.less(end, farthest), is_partial)
             end = builder.switch(is_exact, builder.math("MULTIPLY", end, factor), end, "FLOAT")
             is_shown = builder.boolean("AND", builder.boolean("NOT", builder.less(end, nearest)), is_shown)
-        found.append(builder.switch(is_seen, number == count - 1, is_shown, "BOOLEAN"))
-    return pixel, builder.vector("SCALE", offset, builder.switch(is_fading, 0.0, SEPARATION, "FLOAT")), found
+        is_shown = builder.switch(is_seen, number == count - 1, is_shown, "BOOLEAN")
+        fades = builder.boolean("AND", may_fade, is_partial)
+        found.append((builder.boolean("AND", is_shown, builder.boolean("NOT", fades)), builder.boolean("AND", is_shown, fades)))
+    return pixel, builder.vector("SCALE", offset, SEPARATION), found
 
 
 def _is_seen(

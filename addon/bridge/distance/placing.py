@@ -47,6 +47,7 @@ def _add_modifier(host: bpy.types.Object, chain: Chain, ranges: dict[str, float]
         values |= {"Low": chain.low.tolist(), "High": chain.high.tolist(), "Tolerance": tolerance}
     for number, (collection, size) in enumerate(zip(chain.collections, chain.pixel_sizes, strict=True)):
         values |= {f"Level {number}": collection, f"Pixel Size {number}": size}
+    values |= {f"Fading Level {number}": collection for number, collection in enumerate(chain.fading)}
     for name, value in values.items():
         set_node_input(modifier, name, value)
     host.update_tag()

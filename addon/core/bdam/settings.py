@@ -49,11 +49,7 @@ class BdamSettings(Settings):
         used_if={"texture_format": ("jpeg", "webp")},
     )
     texture_error: str = in_options("magnification", "What decides how fine textures must be", choices=TEXTURE_ERRORS)
-    executor: str = in_options(
-        "processes",
-        "Where patches are built: serial, processes, processes:N, or dask:tcp://HOST:PORT. Dask needs a work folder that all share",
-        in_presets=False,
-    )
+    executor: str = in_options("processes", "Where patches are built: serial, processes, or processes:N for N at a time", in_presets=False)
 
 
 SHADINGS = {

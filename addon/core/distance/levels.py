@@ -7,6 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 MAX_TRIANGLES_RATIO = 0.75  # Of a level to the level before; one that saves less is not worth a switch.
+# An object as small as this in an image, in pixels, needs a cloud if no mesh of so few triangles shows it. Cycles takes longer for the
+# transparent quads of a cloud than for such a mesh, and its images take more memory.
+FEW_PIXELS, FEW_TRIANGLES = 8.0, 500
 
 
 @dataclass(frozen=True)
@@ -42,3 +45,11 @@ def combine_levels(parts: Sequence[Sequence[LevelCandidate]]) -> list[tuple[Leve
         triangles = sum(levels[index].triangles for levels, index in zip(parts, indices, strict=True))
         combined.append((LevelCandidate(triangles, pixel_size), indices))
     return combined
+
+
+def needs_cloud(candidates: Sequence[LevelCandidate], side: float) -> bool:
+    """Return whether the meshes of an object have so many triangles for its size in an image that a billboard cloud is lighter.
+
+    side: the longest one of the object, in the same unit as the pixel sizes.
+    """
+    return not any(level.triangles <= FEW_TRIANGLES and level.pixel_size <= side / FEW_PIXELS for level in candidates)

@@ -23,8 +23,9 @@ class DistanceSettings(Settings):
         maximum=16.0,
     )
     fade_range: float = setting(
-        0.2,
-        "Distance range of the cross-fade to the next level in renders, relative to the distance where it starts; 0 switches instantly",
+        0.0,
+        "Distance range of the cross-fade to the next level in renders, relative to the distance where it starts; 0 switches instantly, "
+        "which takes less time and memory",
         minimum=0.0,
         maximum=2.0,
         unit=Unit.FRACTION,

@@ -37,10 +37,8 @@ class EstimateCache:
             SettingsError: if the executor does not exist.
         """
         self._evict_deleted()
-        spec = parse_executor(settings.executor)
-        # A panel must not wait for a scheduler, so the number of its workers is not queried.
-        workers = spec.processes if spec.scheduler is None else 1
-        return estimate_bake(self._level_extents(cloud), settings, workers, self._pace(cloud))
+        processes = parse_executor(settings.executor).processes
+        return estimate_bake(self._level_extents(cloud), settings, processes, self._pace(cloud))
 
     def remember_pace(self, cloud: SceneCloud, settings: BtfSettings, seconds: float) -> None:
         """Use the measured duration of a complete bake for later estimates."""
