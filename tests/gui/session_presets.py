@@ -4,6 +4,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import addon_utils
 import bpy
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not add the script's folder
@@ -37,7 +38,6 @@ def close_menu(user: UserInput) -> Iterator[float]:
 def session() -> Iterator[float]:
     """Run the session; yields pauses in seconds."""
     user = UserInput()
-    results["processes"] = bpy.context.preferences.addons[module("addon.operators.user_cache").PACKAGE].preferences.processes
     bpy.data.objects.remove(bpy.data.objects["Cube"])
     bpy.ops.ed.undo_push(message="Remove Cube")
     open_panel_alone("clipbox")
@@ -76,6 +76,10 @@ def session() -> Iterator[float]:
     yield 2.0
     save_screenshot("6-details")
     yield from close_menu(user)
+
+    package = module("addon.operators.user_cache").PACKAGE
+    addon_utils.enable(package, default_set=True)
+    results["processes"] = bpy.context.preferences.addons[package].preferences.processes
 
 
 if __name__ == "__main__":
