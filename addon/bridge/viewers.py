@@ -9,6 +9,7 @@ import numpy as np
 from ..core.geometry.cameras import Camera
 from ..core.geometry.viewers import FULL_SPHERE, Projection, Viewer, camera_window, projection_from_matrix
 from .cameras import render_size, sensor_spans_width
+from .units import format_length
 
 DEFAULT_EXTENT = 36.0 / 50.0  # sensor width divided by focal length of a new camera
 MIN_EXTENT = 1e-6  # An orthographic camera may have the scale 0.
@@ -94,3 +95,12 @@ def extend_clipping(space: bpy.types.SpaceView3D, size: float) -> None:
     space.shading.show_object_outline = False
     space.clip_end = max(space.clip_end, MIN_CLIP_END * size)
     space.clip_start = max(space.clip_start, MIN_CLIP_START * space.clip_end)
+
+
+def describe_camera_range(scene: bpy.types.Scene, size: float) -> str:
+    """Return a sentence if the active camera does not reach to the end of a terrain of this size, scene units; else an empty string."""
+    camera = scene.camera
+    if camera is None or camera.type != "CAMERA" or camera.data.clip_end >= size:
+        return ""
+    shown = format_length(scene, camera.data.clip_end)
+    return f'The camera "{camera.name}" shows nothing beyond {shown}; raise Clip End to {format_length(scene, size)}.'

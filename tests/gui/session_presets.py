@@ -4,6 +4,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import addon_utils
 import bpy
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not add the script's folder
@@ -75,6 +76,10 @@ def session() -> Iterator[float]:
     yield 2.0
     save_screenshot("6-details")
     yield from close_menu(user)
+
+    package = module("addon.operators.user_cache").PACKAGE
+    addon_utils.enable(package, default_set=True)
+    results["processes"] = bpy.context.preferences.addons[package].preferences.processes
 
 
 if __name__ == "__main__":

@@ -24,4 +24,9 @@ def test_a_preset_is_one_undo_step(results):
 
 def test_a_new_terrain_is_within_the_clipping_range_and_reported(results):
     assert results["clip_end"] > 20_000.0 > results["clip_end_before"]
-    assert len(results["sentences"]) == 1 and "triangles" in results["sentences"][0]
+    first, *others = results["sentences"]
+    assert "triangles" in first and ["raise Clip End" in sentence for sentence in others] == [True]
+
+
+def test_preferences_are_those_of_the_extension(results):
+    assert results["processes"] == 0

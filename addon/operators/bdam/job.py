@@ -9,12 +9,13 @@ import numpy as np
 
 from ...bridge.bdam import objects as terrain_objects
 from ...bridge.bdam.objects import SceneTerrain, TerrainChange
-from ...bridge.viewers import extend_clipping
+from ...bridge.viewers import describe_camera_range, extend_clipping
 from ...core.bdam.settings import ViewSettings
 from ...core.bdam.view.engine import BdamEngine, Update
 from ...core.errors import GeometryError
 from ...core.geometry.viewers import Viewer
 from ...core.jobs.progress import Progress, Steps
+from ...core.messages import join_sentences
 from ..engine_cache import cache
 from ..view_following import view_of_area
 
@@ -68,7 +69,9 @@ class ShowJob:
             pass
         cache.store(self.terrain, self.engine)
         message = f'"{self.terrain.name}": {core_result.figures.triangles:,} triangles in {core_result.figures.tiles} tiles.'
-        return " ".join([message, *core_result.warnings[:1]])
+        low, high = self.engine.bounds
+        reach = describe_camera_range(bpy.context.scene, float(np.linalg.norm(high - low))) if is_new else ""
+        return join_sentences([message, *core_result.warnings[:1], reach])
 
 
 def prepare_load(
