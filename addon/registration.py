@@ -11,6 +11,7 @@ from .operators.btf import operators as btf_operators
 from .operators.clipbox import convert_to_mesh as clipbox_convert
 from .operators.clipbox import operators as clipbox_operators
 from .operators.distance import operators as distance_operators
+from .operators.distance import viewport as distance_viewport
 from .operators.packages import operators as packages_operators
 from .operators.photos import import_cameras as photos_import
 from .operators.photos import operators as photos_operators
@@ -65,6 +66,7 @@ MODULES = (
     bdam_freeze,
     bdam_build,
     distance_operators,
+    distance_viewport,
     distance_panels,  # The first panel of the tab.
     billboards_panels,
     btf_panels,

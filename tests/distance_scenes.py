@@ -76,7 +76,9 @@ def add_scatter(points: Sequence[Sequence[float]], kinds: Sequence[bpy.types.Obj
     return item
 
 
-def attach_levels(objects: Sequence[bpy.types.Object], fade_range: float = 0.0, scales: Sequence[float] = (1.0, 1.0, 1.0)) -> list[Chain]:
+def attach_levels(
+    objects: Sequence[bpy.types.Object], fade_range: float = 0.0, scales: Sequence[float] = (1.0, 1.0, 1.0), max_error: float = 1.0
+) -> list[Chain]:
     """Attach chains of three boxes, "<name> 0" to "<name> 2", to the assets that `objects` show.
 
     scales: of the objects of the levels, whose meshes have the inverse scale.
@@ -90,7 +92,7 @@ def attach_levels(objects: Sequence[bpy.types.Object], fade_range: float = 0.0, 
             box = add_box(f"{asset.name} {number}", size=0.5 / scale, linked=False)
             levels.append(NewLevel([(box, mathutils.Matrix.Scale(scale, 4))], size, 12))
         chains.append(create_chain(asset.name, "", levels, (asset.low, asset.high), fade_range))
-        attach_chain(asset, chains[-1], scene, fade_range)
+        attach_chain(asset, chains[-1], scene, fade_range, max_error)
     bpy.context.view_layer.update()
     return chains
 
@@ -103,7 +105,7 @@ def list_instances(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[str, tuple[
 
 
 def shown() -> list[tuple[str, tuple[int, ...]]]:
-    """Return what the viewport shows."""
+    """Return what the viewport shows, which never fades."""
     bpy.context.view_layer.update()
     return sorted(list_instances(bpy.context.evaluated_depsgraph_get()))
 
@@ -120,8 +122,9 @@ class RecordingEngine(bpy.types.RenderEngine):
         type(self).instances = sorted(list_instances(depsgraph))
 
 
-def rendered() -> list[tuple[str, tuple[int, ...]]]:
-    """Return what a render of the current frame has to show."""
+def rendered(named_fading: bool = False) -> list[tuple[str, tuple[int, ...]]]:
+    """Return what a render of the current frame has to show. Objects with materials that fade have the names of those without, unless they
+    are `named_fading`."""
     bpy.utils.register_class(RecordingEngine)
     try:
         bpy.context.scene.render.engine = RecordingEngine.bl_idname
@@ -129,7 +132,7 @@ def rendered() -> list[tuple[str, tuple[int, ...]]]:
     finally:
         bpy.context.scene.render.engine = "CYCLES"
         bpy.utils.unregister_class(RecordingEngine)
-    return RecordingEngine.instances
+    return [(name if named_fading else name.removesuffix(" Fading"), place) for name, place in RecordingEngine.instances]
 
 
 def describe_file() -> dict[str, object]:

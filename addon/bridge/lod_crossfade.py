@@ -14,15 +14,14 @@ from ..compat import enable_nodes
 from .objects import add_scene_driver
 from .shading.node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
 
-GROUP_NAME, GROUP_VERSION = "Farfield Cross-Fade", 2
+GROUP_NAME, GROUP_VERSION = "Farfield Cross-Fade", 3
 # Custom properties of a cross-fading object. Lengths are in the object's units.
 CROSSFADE = "farfield_crossfade"  # the pixel size above which it shows, the pixel size up to which it shows, and the relative range
 CAMERA_POSITION = "farfield_camera_position"  # in world space
 PIXEL_SIZE = "farfield_pixel_size"  # the growth of a pixel's side per unit of distance, its side at the camera, and 0
 # Attributes of instances, which stand for the two properties above: Blender does not evaluate the drivers of objects that are in no scene.
 INSTANCE_CAMERA = "farfield_instance_camera"  # camera position in world space
-INSTANCE_PIXEL = "farfield_instance_pixel"  # growth and constant part of the pixel size, in units of the instance; FADES or ALWAYS_SHOWN
-FADES, ALWAYS_SHOWN = 1.0, 2.0
+INSTANCE_PIXEL = "farfield_instance_pixel"  # growth and constant part of the pixel size, in units of the instance, and 1
 MIN_PIXEL, MAX_PIXEL = 0.0, 1e30  # limits of objects that show from the camera on, or up to any distance
 MIN_RANGE = 1e-3
 ALWAYS = (-1.0, MAX_PIXEL)  # limits of objects that always show; 0 as start would need an active camera
@@ -143,9 +142,8 @@ def _fill_group(builder: NodeBuilder) -> None:
     component = 3.0**-0.5
     scale = builder.vector("LENGTH", builder.vector_transform((component, component, component), "VECTOR", "OBJECT", "WORLD"))
     pixel_size = builder.math("DIVIDE", builder.math("ADD", builder.math("MULTIPLY", distance, growth), constant), scale)
-    growth, constant, state = builder.separate(builder.instance_attribute(INSTANCE_PIXEL))
+    growth, constant, is_given = builder.separate(builder.instance_attribute(INSTANCE_PIXEL))
     of_instance = builder.math("ADD", builder.math("MULTIPLY", distance_of_instance, growth), constant)
-    is_given = builder.math("GREATER_THAN", state, 0.5 * FADES)
     pixel_size = builder.math("ADD", pixel_size, builder.math("MULTIPLY", is_given, builder.math("SUBTRACT", of_instance, pixel_size)))
 
     def has_passed(switch_size: SocketOrValue) -> SocketOrValue:
@@ -156,7 +154,6 @@ def _fill_group(builder: NodeBuilder) -> None:
 
     random = _random_of_ray(builder)
     is_shown = builder.math("SUBTRACT", has_passed(start), has_passed(end))
-    is_shown = builder.math("MAXIMUM", is_shown, builder.math("GREATER_THAN", state, 0.5 * (FADES + ALWAYS_SHOWN)))
     transparent, mix = (builder.node(node_type) for node_type in ("ShaderNodeBsdfTransparent", "ShaderNodeMixShader"))
     builder.connect(is_shown, mix.inputs[0])
     builder.connect(transparent.outputs[0], mix.inputs[1])

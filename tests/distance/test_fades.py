@@ -31,10 +31,11 @@ def scene(tmp_path):
 def render_center(scene: bpy.types.Scene) -> np.ndarray:
     """Return the mean color and alpha (4,) of the center of a render in which the levels shine red, green and blue."""
     for material in bpy.data.materials:
-        if material.name[-1] in "012":
+        number = material.name.removesuffix(" Fading")[-1]
+        if number in "012":
             inputs = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED").inputs
             inputs["Base Color"].default_value, inputs["Specular IOR Level"].default_value = (0.0, 0.0, 0.0, 1.0), 0.0
-            inputs["Emission Color"].default_value = (*np.eye(3)[int(material.name[-1])], 1.0)
+            inputs["Emission Color"].default_value = (*np.eye(3)[int(number)], 1.0)
             inputs["Emission Strength"].default_value = 1.0
     bpy.ops.render.render(write_still=True)
     image = bpy.data.images.load(scene.render.filepath)

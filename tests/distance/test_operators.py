@@ -3,11 +3,15 @@
 from functools import partial
 
 import bpy
+import numpy as np
 import pytest
 
 from distance_scenes import add_box, add_camera, add_scatter, describe_file, rendered, shown
 from farfield.addon.bridge.distance.chains import read_chains
-from farfield.addon.bridge.distance.level_switch import level_modifiers
+from farfield.addon.bridge.distance.level_switch import MAX_ERROR, level_modifiers
+from farfield.addon.bridge.distance.placing import QUADS
+from farfield.addon.bridge.geometry.mesh_arrays import read_attribute, write_attribute
+from farfield.addon.compat import enable_nodes, read_node_input
 from farfield.addon.core.billboards.settings import BillboardSettings
 from farfield.addon.core.distance.settings import DistanceSettings
 from farfield.addon.core.jobs.progress import run_to_end
@@ -58,7 +62,7 @@ def test_perceptual_levels_of_an_object_and_its_linked_duplicate(camera):
     bpy.context.scene.collection.objects.link(duplicate)
     duplicate.location = (0.0, 5000.0, 0.0)
     before = describe_file()
-    build(**QUICK)
+    build(**QUICK, fade_range=20.0)
     (chain,) = read_chains()
     assert len(chain.collections) >= 2 and chain.triangles == sorted(chain.triangles, reverse=True)
     assert chain.triangles[0] == count_triangles(ball) and chain.pixel_sizes == sorted(chain.pixel_sizes)
@@ -66,7 +70,9 @@ def test_perceptual_levels_of_an_object_and_its_linked_duplicate(camera):
     last = len(chain.collections) - 1
     assert shown() == rendered() == [("Ball Level 0", (0, 5, 0)), (f"Ball Level {last}", (0, 5000, 0))]
     first = chain.collections[0].objects[0]
-    assert first.data == ball.data and first.material_slots[0].material != ball.material_slots[0].material
+    assert first.data == ball.data and first.material_slots[0].material == ball.material_slots[0].material
+    fading = chain.fading[0].objects[0]
+    assert fading.data == ball.data and fading.material_slots[0].material != ball.material_slots[0].material
     assert bpy.ops.farfield.distance_remove() == {"FINISHED"}
     assert describe_file() == before
 
@@ -90,6 +96,64 @@ def test_a_billboard_cloud_of_a_scatter(camera):
     assert describe_file() == before
 
 
+def add_bush() -> bpy.types.Object:
+    """Add 500 leaves of six triangles with a color attribute, distributed in a ball with a radius of 1, and a stem."""
+    random = np.random.default_rng(0)
+    angles = np.arange(6) * np.pi / 3.0
+    leaf = 0.05 * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(6)])
+    turns = np.linalg.qr(random.normal(size=(500, 3, 3)))[0]
+    places = random.normal(size=(500, 1, 3))
+    places *= random.uniform(size=(500, 1, 1)) ** (1 / 3) / np.linalg.norm(places, axis=2, keepdims=True)
+    vertices = np.concatenate([(leaf @ turns + places).reshape(-1, 3), [(-0.1, 0.0, -1.0), (0.1, 0.0, -1.0), (0.0, 0.0, 1.0)]])
+    mesh = bpy.data.meshes.new("Bush")
+    mesh.from_pydata(vertices, [], [*np.arange(3000).reshape(-1, 6).tolist(), (3000, 3001, 3002)])
+    write_attribute(mesh, "Tint", "POINT", np.full((len(vertices), 4), 0.25))
+    for name in ("Leaf", "Bark"):
+        mesh.materials.append(bpy.data.materials.new(name))
+        enable_nodes(mesh.materials[-1])
+    mesh.polygons[500].material_index = 1
+    color_node = mesh.materials[0].node_tree.nodes.new("ShaderNodeVertexColor")
+    color_node.layer_name = "Tint"
+    bush = bpy.data.objects.new("Bush", mesh)
+    bpy.context.scene.collection.objects.link(bush)
+    bush.location, bush.scale = (0.0, 5.0, 0.0), (2.0, 2.0, 2.0)
+    return bush
+
+
+def test_foliage_gets_fewer_and_larger_leaves_instead_of_a_cloud(camera):
+    bush = add_bush()
+    before = describe_file()
+    build(min_triangles=10)
+    (chain,) = read_chains()
+    assert chain.triangles[0] == 2001 and chain.triangles[1] <= 0.5 * 2001 and len(chain.collections) >= 3
+    total = sum(polygon.area for polygon in bush.data.polygons)
+    for collection, triangles in zip(chain.collections[1:], chain.triangles[1:], strict=True):
+        (level,) = collection.objects
+        assert count_triangles(level) == triangles and "farfield_quads" not in level
+        assert sum(polygon.area for polygon in level.data.polygons) == pytest.approx(total, rel=0.1)
+        assert [material.name for material in level.data.materials] == ["Leaf", "Bark"]
+        assert {polygon.material_index for polygon in level.data.polygons} == {0, 1}, "the stem stays"
+        assert level.data.texspace_size == bush.data.texspace_size, "patterns by Generated coordinates stay where they are"
+        assert np.allclose(read_attribute(level.data.attributes["Tint"]), 0.25)
+    bpy.ops.farfield.distance_remove()
+    assert describe_file() == before
+
+
+def test_a_heavy_object_is_decimated(camera, monkeypatch):
+    monkeypatch.setattr(distance_build, "MAX_PERCEPTUAL_TRIANGLES", 100)
+    ball = textured_ball(16, "Ball")
+    total = count_triangles(ball)
+    before = describe_file()
+    build(**QUICK)
+    (chain,) = read_chains()
+    assert chain.triangles[0] == total and abs(chain.triangles[1] - total / 4) < 0.05 * total
+    assert 50 <= chain.triangles[-1] < 250 and chain.pixel_sizes == sorted(chain.pixel_sizes)
+    first = chain.collections[1].objects[0]
+    assert len(first.data.uv_layers) == 1 and first.data.materials[0] == ball.data.materials[0]
+    bpy.ops.farfield.distance_remove()
+    assert describe_file() == before
+
+
 def test_show_originals_and_back(camera):
     add_ball(5000.0)
     build(**QUICK)
@@ -107,6 +171,8 @@ def test_a_second_build_uses_the_levels_of_the_first(camera):
     build(**QUICK)
     assert [collection.session_uid for chain in read_chains() for collection in chain.collections] == first
     build(**QUICK, max_error=4.0)
+    assert [collection.session_uid for chain in read_chains() for collection in chain.collections] == first, "only their distances differ"
+    build(**QUICK, fade_range=0.5)
     (chain,) = read_chains()
     assert [collection.session_uid for collection in chain.collections] != first
     assert len(level_modifiers(bpy.data.objects["Ball"])) == 1
@@ -186,12 +252,79 @@ def test_the_analysis_lists_the_heaviest_first(camera):
     group.min_triangles = 100
     bpy.ops.object.select_all(action="DESELECT")
     assert bpy.ops.farfield.distance_analyze() == {"FINISHED"}
-    plans = parse_json(group.analysis)
-    assert [(plan["name"], plan["places"], plan["triangles"], plan["outcome"]) for plan in plans] == [
-        ("Ball", 1, count_triangles(ball), "build"),
-        ("Box", 1, 12, "stays"),
+    plans = group.plans
+    assert [(plan.name, plan.source, plan.places, plan.triangles, plan.outcome) for plan in plans] == [
+        ("Ball", ball, 1, count_triangles(ball), "build"),
+        ("Box", bpy.data.objects["Box"], 1, 12, "stays"),
     ]
-    assert [plan["nearest"] for plan in plans] == pytest.approx([5.0, 3.0], abs=1e-3)
+    assert [plan.nearest for plan in plans] == pytest.approx([5.0, 3.0], abs=1e-3)
+    diagonal = 0.5 * 3.0**0.5
+    assert plans[1].pixels == pytest.approx(1000.0 * diagonal / 3.0, rel=1e-3), "1,000 pixels are 1 long at a distance of 1"
+    plans[0].method, plans[1].error_factor = "original", 2.0
+    ball.hide_render = True
+    bpy.ops.farfield.distance_analyze()
+    assert [(plan.name, plan.error_factor) for plan in plans] == [("Box", 2.0)], "choices stay"
+
+
+def test_the_analysis_looks_at_several_frames_and_ends_at_the_current_one(camera):
+    add_box("Box", (0.0, 500.0, 0.0))
+    camera.location = (0.0, 0.0, 0.0)
+    camera.keyframe_insert("location", frame=1)
+    camera.location = (0.0, 490.0, 0.0)
+    camera.keyframe_insert("location", frame=250)
+    scene = bpy.context.scene
+    scene.frame_set(1)
+    bpy.ops.farfield.distance_analyze()
+    (plan,) = scene.farfield_distance.plans
+    assert plan.nearest == pytest.approx(10.0, abs=0.01) and scene.frame_current == 1
+
+
+def test_the_method_of_an_object_and_its_error_factor(camera):
+    first, second = add_ball(), add_ball(9.0)
+    second.data = second.data.copy()
+    second.data.vertices[0].co.x += 0.2
+    rows = bpy.context.scene.farfield_distance.plans
+    for item, method, factor in ((first, "original", 1.0), (second, "levels", 2.5)):
+        row = rows.add()
+        row.source, row.method, row.error_factor = item, method, factor
+    build(min_triangles=10, perceptual_levels=False)
+    assert not level_modifiers(first)
+    (modifier,) = level_modifiers(second)
+    assert read_node_input(modifier, MAX_ERROR) == pytest.approx(2.5)
+    assert not any(QUADS in item for item in read_chains()[0].objects), "no cloud"
+
+
+@pytest.mark.parametrize("budget", [{"triangle_budget": 60}, {"texture_budget": 1e-3}])
+def test_a_budget_raises_the_error_until_levels_fit(camera, budget):
+    ball = add_ball(20.0)
+    build(**QUICK)
+    chain = read_chains()[0]
+    ball.location.y = 900.0 * chain.pixel_sizes[1]
+    assert shown()[0][0] == "Ball Level 0" and chain.triangles[-1] < 60 < chain.triangles[0]
+    assert chain.pixel_sizes[-1] < 10.0 * chain.pixel_sizes[1]
+    job = prepare(bpy.context.scene, [ball], DistanceSettings(**QUICK, **budget))
+    message = run_to_end(run_job(job))
+    if "triangle_budget" in budget:
+        assert "Max Error was raised to" in message and f"instead of {chain.triangles[0]:,}" in message
+        assert chain.triangles[int(shown()[0][0][-1])] <= 60
+    else:
+        assert "The budget is too small" in message, "all levels have the image of the ball"
+
+
+def test_a_measurement_renders_both_and_changes_nothing(camera):
+    ball = add_ball(300.0)
+    ball.scale = (30.0, 30.0, 30.0)
+    build(**QUICK)
+    scene = bpy.context.scene
+    scene.render.engine, scene.cycles.samples, scene.render.resolution_percentage = "CYCLES", 1, 10
+    levels, before = shown(), describe_file()
+    assert bpy.ops.farfield.distance_measure() == {"FINISHED"}
+    figures = parse_json(scene.farfield_distance.figures)
+    assert figures["frames"] == 1 and 0.0 <= figures["flip"] < 0.2
+    assert all(figures[name]["seconds"] > 0.0 and figures[name]["memory"] > 0 for name in ("originals", "levels"))
+    assert shown() == levels and describe_file() == before
+    bpy.ops.farfield.distance_remove()
+    assert not scene.farfield_distance.figures
 
 
 def test_a_scene_without_anything_heavy_is_refused(camera):

@@ -1,22 +1,24 @@
 """Node groups that show each object, and each instance, as the level of detail that its distance to the active camera requires.
 
 They need no extension: geometry nodes read the active camera, and drivers its lens and the resolution. A level is instanced only where it
-shows, so renders load only levels that are needed. The levels' materials cross-fade for each camera ray, see `lod_crossfade`; while two
-levels fade into each other, both are instanced. What the camera does not see is the coarsest level, for its shadow and reflections.
+shows, so renders load only levels that are needed. While two levels fade into each other, both are instanced, with materials that
+cross-fade for each camera ray, see `lod_crossfade`. What the camera does not see is the coarsest level, for its shadow and reflections.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import bpy
 
-from ..lod_crossfade import ALWAYS_SHOWN, CONSTANT, FADES, GROWTH, INSTANCE_CAMERA, INSTANCE_PIXEL, PIXELS, SCENE_PATHS
+from ...core.geometry.cameras import Camera
+from ..lod_crossfade import CONSTANT, GROWTH, INSTANCE_CAMERA, INSTANCE_PIXEL, PIXELS, SCENE_PATHS
 from ..objects import drive_by_scene
 from ..shading.node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
 
-NAME, VERSION = "Farfield Levels by Distance", 1
-VIEW_NAME, VIEW_VERSION = "Farfield Active Camera", 1
+NAME, VERSION = "Farfield Levels by Distance", 3
+VIEW_NAME, VIEW_VERSION = "Farfield Active Camera", 2
 TREE = "GeometryNodeTree"
+MAX_ERROR = "Max Error"  # Input of the modifiers: what a level may leave out, in pixels.
 SEPARATION = 1e-5  # Of the distance, by which levels that fade are moved apart: where surfaces coincide, Cycles misses one of them.
 TINY_BOX = 1e-20  # Size of the bounding box of an instance that has only other instances.
 MAX_NESTING = 4  # Levels of instances of instances, such as of a collection with collections.
@@ -25,6 +27,11 @@ MARGIN = 0.1  # Radians around the image, for motion blur and shifted lenses.
 DIAGONAL = f"1e6 if t!=0 else tan(a/2)/{PIXELS}*hypot(x,y)*p/100+hypot(i,j)*2*tan(a/2)"
 VIEW_VALUES = {"Growth": GROWTH, "Constant": CONSTANT, "Diagonal": DIAGONAL}
 VIEW_PATHS = SCENE_PATHS | {"i": "camera.data.shift_x", "j": "camera.data.shift_y"}
+
+
+# Values of the view that a viewport shows instead of that of the active camera, while it follows the user's: 1, the position, and sizes.
+VIEWPORT_VALUES = ("Follows Viewport", "Viewport X", "Viewport Y", "Viewport Z", "Viewport Growth", "Viewport Constant")
+EVERYTHING = 1e6  # The diagonal of a view to all sides.
 
 
 class GeometryBuilder(NodeBuilder):
@@ -73,8 +80,8 @@ class View:
     Attributes:
         position: of the camera, in world space.
         direction: in which it looks, in world space.
-        growth: of the size of a pixel per unit of distance, see `lod_crossfade`.
-        constant: size of a pixel at the camera.
+        growth: of the size of a pixel per unit of distance, see `lod_crossfade`; for levels times what they may leave out, in pixels.
+        constant: size of a pixel at the camera, for levels times the same.
         diagonal: see `DIAGONAL`.
         is_viewport: whether no render is made.
     """
@@ -89,10 +96,10 @@ class View:
 
 def ensure_level_switch(count: int, places: Places) -> bpy.types.NodeTree:
     """Return the node group that shows one of `count` levels, each a collection, at the `places` of an asset."""
-    sockets = [("Geometry", "Geometry"), ("Center", "Vector"), ("Radius", "Float"), ("Fade Range", "Float")]
+    sockets = [("Geometry", "Geometry"), ("Center", "Vector"), ("Radius", "Float"), (MAX_ERROR, "Float"), ("Fade Range", "Float")]
     sockets += [("Low", "Vector"), ("High", "Vector"), ("Tolerance", "Float")] if places is Places.MATCHING else []
     for number in range(count):
-        sockets += [(f"Level {number}", "Collection"), (f"Pixel Size {number}", "Float")]
+        sockets += [(f"Level {number}", "Collection"), (f"Fading Level {number}", "Collection"), (f"Pixel Size {number}", "Float")]
 
     def fill(builder: NodeBuilder) -> None:
         _fill(GeometryBuilder(builder.tree), count, places)
@@ -104,8 +111,9 @@ def ensure_level_switch(count: int, places: Places) -> bpy.types.NodeTree:
 def _fill(builder: GeometryBuilder, count: int, places: Places) -> None:
     given, result = builder.node("NodeGroupInput").outputs, builder.node("NodeGroupOutput").inputs[0]
     geometry = given["Geometry"]
-    view_node = builder.call("GeometryNodeGroup", {}, {"node_tree": _ensure_view()})
-    view = View(*view_node.outputs[:6])
+    seen = View(*builder.call("GeometryNodeGroup", {}, {"node_tree": _ensure_view()}).outputs[:6])
+    growth, constant = (builder.math("MULTIPLY", size, given[MAX_ERROR]) for size in (seen.growth, seen.constant))
+    view = replace(seen, growth=growth, constant=constant)
     own = builder.call("GeometryNodeObjectInfo", {"Object": builder.node("GeometryNodeSelfObject").outputs[0]})
     to_world, local, rest = own.outputs["Transform"], None, None
     if places is Places.OBJECT:
@@ -124,21 +132,33 @@ def _fill(builder: GeometryBuilder, count: int, places: Places) -> None:
     to_local = builder.call("FunctionNodeInvertMatrix", {0: own.outputs["Transform"]}).outputs[0]
     shift = builder.call("FunctionNodeTransformDirection", {0: shift, 1: to_local}).outputs[0]
     join = builder.node("GeometryNodeJoinGeometry")
-    for number, is_shown in enumerate(conditions):
-        level = builder.call("GeometryNodeCollectionInfo", {0: given[f"Level {number}"]}).outputs[0]
-        part = builder.call("GeometryNodeInstanceOnPoints", {0: points, 1: is_shown, 2: level}).outputs[0]
-        if local is not None:
-            part = builder.call("GeometryNodeSetInstanceTransform", {0: part, 2: local}).outputs[0]
+    for number, (is_plain, is_fading) in enumerate(conditions):
+        plain = _instance(builder, points, is_plain, given[f"Level {number}"], local)
+        builder.tree.links.new(plain, join.inputs[0])
+        fading = _instance(builder, points, is_fading, given[f"Fading Level {number}"], local)
         if number:
-            inputs = {0: part, "Translation": builder.vector("SCALE", shift, float(number)), "Local Space": False}
-            part = builder.call("GeometryNodeTranslateInstances", inputs).outputs[0]
+            inputs = {0: fading, "Translation": builder.vector("SCALE", shift, float(number)), "Local Space": False}
+            fading = builder.call("GeometryNodeTranslateInstances", inputs).outputs[0]
         for name, value in ((INSTANCE_CAMERA, view.position), (INSTANCE_PIXEL, pixel)):
             properties = {"domain": "INSTANCE", "data_type": "FLOAT_VECTOR"}
-            part = builder.call("GeometryNodeStoreNamedAttribute", {0: part, "Name": name, "Value": value}, properties).outputs[0]
-        builder.tree.links.new(part, join.inputs[0])
+            fading = builder.call("GeometryNodeStoreNamedAttribute", {0: fading, "Name": name, "Value": value}, properties).outputs[0]
+        builder.tree.links.new(fading, join.inputs[0])
     if rest is not None:
         builder.tree.links.new(rest, join.inputs[0])
     builder.tree.links.new(join.outputs[0], result)
+
+
+def _instance(
+    builder: GeometryBuilder,
+    points: bpy.types.NodeSocket,
+    selection: SocketOrValue,
+    collection: bpy.types.NodeSocket,
+    local: bpy.types.NodeSocket | None,
+) -> bpy.types.NodeSocket:
+    """Return instances of a collection at the selected points, with the matrix `local` that these have."""
+    level = builder.call("GeometryNodeCollectionInfo", {0: collection}).outputs[0]
+    part = builder.call("GeometryNodeInstanceOnPoints", {0: points, 1: selection, 2: level}).outputs[0]
+    return part if local is None else builder.call("GeometryNodeSetInstanceTransform", {0: part, 2: local}).outputs[0]
 
 
 def _capture(
@@ -171,9 +191,9 @@ def _has_bounds(builder: GeometryBuilder, given: bpy.types.bpy_prop_collection) 
 
 def _choose(
     builder: GeometryBuilder, given: bpy.types.bpy_prop_collection, view: View, to_world: bpy.types.NodeSocket, count: int
-) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket, list[bpy.types.NodeSocket]]:
-    """Return the attribute `INSTANCE_PIXEL` of each place, how far each level is moved in world space with respect to the one before, and
-    for each level where it is instanced."""
+) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket, list[tuple[SocketOrValue, SocketOrValue]]]:
+    """Return the attribute `INSTANCE_PIXEL` of each place, how far each level that fades is moved in world space with respect to the one
+    before, and for each level where it is instanced without and with a fade."""
     axes = builder.vector("ABSOLUTE", builder.call("FunctionNodeSeparateTransform", {0: to_world}).outputs[2])
     scale = builder.math("MULTIPLY", builder.vector("LENGTH", axes), 3.0**-0.5)
     center = builder.transform_point(given["Center"], to_world)
@@ -191,22 +211,26 @@ def _choose(
     is_seen = _is_seen(builder, view, offset, distance, radius)
     is_exact = builder.boolean("OR", view.is_viewport, builder.less(given["Fade Range"], 1e-6))
     factor = builder.math("ADD", given["Fade Range"], 1.0)
-    is_fading = builder.boolean("AND", is_seen, builder.boolean("NOT", is_exact))
-    state = builder.switch(is_fading, ALWAYS_SHOWN, FADES, "FLOAT")
+    may_fade = builder.boolean("AND", is_seen, builder.boolean("NOT", is_exact))
     safe_scale = builder.math("MAXIMUM", scale, 1e-20)
-    pixel = builder.combine(builder.math("DIVIDE", view.growth, safe_scale), builder.math("DIVIDE", view.constant, safe_scale), state)
+    pixel = builder.combine(builder.math("DIVIDE", view.growth, safe_scale), builder.math("DIVIDE", view.constant, safe_scale), 1.0)
     found = []
     for number in range(count):
         is_shown: SocketOrValue = True
+        is_partial: SocketOrValue = False
         if number:
             start = given[f"Pixel Size {number}"]
             is_shown = builder.less(start, builder.switch(is_exact, farthest, nearest, "FLOAT"))
+            is_partial = builder.less(nearest, builder.math("MULTIPLY", start, factor))
         if number < count - 1:
             end = given[f"Pixel Size {number + 1}"]
+            is_partial = builder.boolean("OR", builder.less(end, farthest), is_partial)
             end = builder.switch(is_exact, builder.math("MULTIPLY", end, factor), end, "FLOAT")
             is_shown = builder.boolean("AND", builder.boolean("NOT", builder.less(end, nearest)), is_shown)
-        found.append(builder.switch(is_seen, number == count - 1, is_shown, "BOOLEAN"))
-    return pixel, builder.vector("SCALE", offset, builder.switch(is_fading, 0.0, SEPARATION, "FLOAT")), found
+        is_shown = builder.switch(is_seen, number == count - 1, is_shown, "BOOLEAN")
+        fades = builder.boolean("AND", may_fade, is_partial)
+        found.append((builder.boolean("AND", is_shown, builder.boolean("NOT", fades)), builder.boolean("AND", is_shown, fades)))
+    return pixel, builder.vector("SCALE", offset, SEPARATION), found
 
 
 def _is_seen(
@@ -243,10 +267,36 @@ def _fill_view(builder: NodeBuilder) -> None:
         node = builder.node("ShaderNodeValue", {"name": name, "label": name})
         drive_by_scene(node.outputs[0].driver_add("default_value").driver, expression, VIEW_PATHS)
         values.append(node.outputs[0])
-    values.append(builder.node("GeometryNodeIsViewport").outputs[0])
+    is_viewport = builder.node("GeometryNodeIsViewport").outputs[0]
+    follows, *position, growth, constant = [
+        builder.node("ShaderNodeValue", {"name": name, "label": name}).outputs[0] for name in VIEWPORT_VALUES
+    ]
+    is_following = builder.boolean("AND", is_viewport, builder.less(0.5, follows))
+    of_viewport = (builder.combine(*position), None, growth, constant, EVERYTHING)
+    kinds = ("VECTOR", "", "FLOAT", "FLOAT", "FLOAT")
+    values = [
+        value if other is None else builder.switch(is_following, value, other, kind)
+        for value, other, kind in zip(values, of_viewport, kinds, strict=True)
+    ]
+    values.append(is_viewport)
     output = builder.node("NodeGroupOutput")
     for value, target in zip(values, output.inputs, strict=False):
         builder.tree.links.new(value, target)
+
+
+def follow_viewport(camera: Camera | None) -> None:
+    """Let viewports show levels for a view in place of that of the active camera, or with None for that of the active camera again."""
+    values = [0.0] * len(VIEWPORT_VALUES)
+    if camera is not None:
+        constant = camera.pixel_size(0.0)
+        growth = camera.pixel_size(1.0) if camera.field_of_view else 0.0
+        values = [1.0, *camera.position, growth, constant]
+    for tree in bpy.data.node_groups:
+        if tree.name.startswith(VIEW_NAME) and tree.library is None:
+            for name, value in zip(VIEWPORT_VALUES, values, strict=True):
+                output = tree.nodes[name].outputs[0]
+                if output.default_value != value:
+                    output.default_value = value
 
 
 def level_modifiers(item: bpy.types.Object) -> list[bpy.types.NodesModifier]:

@@ -7,6 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 MAX_TRIANGLES_RATIO = 0.75  # Of a level to the level before; one that saves less is not worth a switch.
+# An object as small as this in an image, in pixels, needs a cloud if no mesh of so few triangles shows it. Cycles takes longer for the
+# transparent quads of a cloud than for such a mesh, and its images take more memory.
+FEW_PIXELS, FEW_TRIANGLES = 8.0, 500
 
 
 @dataclass(frozen=True)
@@ -17,19 +20,17 @@ class LevelCandidate:
     pixel_size: float
 
 
-def choose_levels(candidates: Sequence[LevelCandidate], max_error: float) -> list[tuple[int, float]]:
-    """Return the indices of the candidates that become levels, finest first, and the pixel size above which each shows.
+def choose_levels(candidates: Sequence[LevelCandidate]) -> list[int]:
+    """Return the indices of the candidates that become levels, finest first.
 
     The first level is the original, the candidate with the pixel size 0. Each further one has at most `MAX_TRIANGLES_RATIO` times the
     triangles of the level before.
-
-    max_error: size in pixels of what a level may leave out.
     """
-    chosen: list[tuple[int, float]] = []
+    chosen: list[int] = []
     for index in sorted(range(len(candidates)), key=lambda index: (candidates[index].pixel_size, candidates[index].triangles)):
         candidate = candidates[index]
-        if not chosen or candidate.triangles <= MAX_TRIANGLES_RATIO * candidates[chosen[-1][0]].triangles:
-            chosen.append((index, candidate.pixel_size / max_error))
+        if not chosen or candidate.triangles <= MAX_TRIANGLES_RATIO * candidates[chosen[-1]].triangles:
+            chosen.append(index)
     return chosen
 
 
@@ -44,3 +45,11 @@ def combine_levels(parts: Sequence[Sequence[LevelCandidate]]) -> list[tuple[Leve
         triangles = sum(levels[index].triangles for levels, index in zip(parts, indices, strict=True))
         combined.append((LevelCandidate(triangles, pixel_size), indices))
     return combined
+
+
+def needs_cloud(candidates: Sequence[LevelCandidate], side: float) -> bool:
+    """Return whether the meshes of an object have so many triangles for its size in an image that a billboard cloud is lighter.
+
+    side: the longest one of the object, in the same unit as the pixel sizes.
+    """
+    return not any(level.triangles <= FEW_TRIANGLES and level.pixel_size <= side / FEW_PIXELS for level in candidates)

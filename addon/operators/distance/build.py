@@ -12,14 +12,16 @@ from ...bridge.billboards.scene_clouds import SceneCloud, clouds_in
 from ...bridge.distance.assets import Asset, count_own_triangles
 from ...bridge.distance.chains import Chain, NewLevel, create_chain
 from ...bridge.distance.level_switch import level_modifiers
+from ...bridge.distance.simplified_meshes import SimplifiedMesh, discard_unused, read_elements, simplify_foliage, simplify_solid
 from ...bridge.geometry.mesh_arrays import count_triangles
 from ...bridge.objects import world_matrix
 from ...bridge.rendering.render_properties import copy_render_properties
 from ...bridge.texmesh.level_sets import LevelSet, level_sets_in, remove_level_set
 from ...core.billboards.settings import BillboardSettings, BuildOptions
-from ...core.distance.levels import LevelCandidate, choose_levels, combine_levels
+from ...core.distance.levels import LevelCandidate, choose_levels, combine_levels, needs_cloud
 from ...core.distance.settings import DistanceSettings
 from ...core.errors import Cancelled, FarfieldError
+from ...core.geometry.mesh import longest_side
 from ...core.geometry.transforms import mean_scale
 from ...core.jobs.progress import BackgroundThread, Progress, Steps, subprogress
 from ...core.texmesh.settings import SceneSettings, TexmeshSettings
@@ -30,7 +32,28 @@ from ..texmesh.job import prepare_levels
 SCENE_NAME = "Farfield Build"
 CLOUD_LEVELS = 2
 POLL = 0.05  # Seconds between two looks at a thread.
-LEVELS_FRACTION = 0.5  # Of the work on an asset.
+SIMPLIFY_FRACTION, LEVELS_FRACTION = 0.1, 0.45  # Of the work on an asset.
+MAX_PERCEPTUAL_TRIANGLES = 10_000  # Of objects that get perceptual levels; others are decimated, which takes seconds instead of minutes.
+MAX_BASE_PIXEL = 0.01  # Pixel size of the mesh that clouds are made of, relative to the longest side; it is the error of the cloud.
+
+
+@dataclass(frozen=True)
+class Simplified:
+    """An object of an asset, and what was made of it without its jobs.
+
+    Attributes:
+        copy: of the object.
+        base: object that clouds are made of: `copy`, or a lighter one that looks like it from some distance.
+        base_size: of the pixels above which it does, in units of the object.
+        levels: lighter meshes, finest first.
+        is_foliage: whether a cloud would be no use.
+    """
+
+    copy: bpy.types.Object
+    base: bpy.types.Object
+    base_size: float
+    levels: list[SimplifiedMesh]
+    is_foliage: bool
 
 
 @dataclass(frozen=True)
@@ -45,16 +68,64 @@ class Part:
 
 def build_chain(asset: Asset, fingerprint: str, settings: DistanceSettings, remarks: list[str]) -> Steps[Chain]:
     """Make the levels of an asset. What could not be made is added to `remarks`."""
-    with temporary_scene() as scene:
-        copies = [_copy_object(item, scene) for item in asset.objects]
-        fraction = LEVELS_FRACTION if settings.perceptual_levels and settings.billboard_cloud else float(settings.perceptual_levels)
+    try:
+        with temporary_scene() as scene:
+            copies = [_copy_object(item, scene) for item in asset.objects]
+            simplified = yield from subprogress(_simplify(copies, scene, settings), 0.0, SIMPLIFY_FRACTION)
+            light = [item.copy for item in simplified if not item.levels]
+            if settings.perceptual_levels and light:
+                steps = _run(scene, lambda: _prepare_levels(light), f'levels of "{asset.name}"', remarks)
+                yield from subprogress(steps, SIMPLIFY_FRACTION, LEVELS_FRACTION)
+            parts = [_read_part(asset, *pair, level_sets_in(scene)) for pair in zip(asset.objects, simplified, strict=True)]
+            combined = combine_levels([part.candidates for part in parts])
+            is_needed = not settings.perceptual_levels or needs_cloud(
+                [candidate for candidate, _ in combined], float((asset.high - asset.low).max())
+            )
+            base_size = 0.0
+            if settings.billboard_cloud and is_needed and not any(item.is_foliage for item in simplified):
+                bases = [item.base for item in simplified]
+                steps = _run(scene, lambda: _prepare_cloud(bases), f'cloud of "{asset.name}"', remarks)
+                yield from subprogress(steps, LEVELS_FRACTION, 1.0)
+                base_size = max(item.base_size * _scale(asset, item.copy) for item in simplified)
+            yield Progress(1.0, "Creating levels")
+            return _assemble(asset, fingerprint, parts, combined, clouds_in(scene), base_size, settings)
+    finally:
+        discard_unused()
+
+
+def _simplify(copies: Sequence[bpy.types.Object], scene: bpy.types.Scene, settings: DistanceSettings) -> Steps[list[Simplified]]:
+    """Return light meshes of foliage and of heavy objects, which would take minutes otherwise."""
+    found = []
+    scene.view_layers[0].update()
+    depsgraph = scene.view_layers[0].depsgraph
+    for index, copy in enumerate(copies):
+        span = index / len(copies), (index + 1) / len(copies)
+        yield Progress(span[0], "Reading the mesh")
+        item = Simplified(copy, copy, 0.0, [], False)
         if settings.perceptual_levels:
-            yield from subprogress(_run(scene, lambda: _prepare_levels(copies), f'levels of "{asset.name}"', remarks), 0.0, fraction)
-        if settings.billboard_cloud:
-            yield from subprogress(_run(scene, lambda: _prepare_cloud(copies), f'cloud of "{asset.name}"', remarks), fraction, 1.0)
-        yield Progress(1.0, "Creating levels")
-        parts = [_read_part(asset, item, copy, level_sets_in(scene)) for item, copy in zip(asset.objects, copies, strict=True)]
-        return _assemble(asset, fingerprint, parts, clouds_in(scene), settings)
+            evaluated, elements = read_elements(copy, depsgraph)
+            if elements is not None:
+                levels = yield from subprogress(simplify_foliage(copy, evaluated, elements, scene), *span)
+                item = Simplified(copy, copy, 0.0, levels, True)
+            elif len(evaluated.triangles) > MAX_PERCEPTUAL_TRIANGLES:
+                levels = yield from subprogress(simplify_solid(copy, evaluated, scene), *span)
+                max_size = MAX_BASE_PIXEL * longest_side(evaluated.vertices)
+                base = next((level for level in reversed(levels) if level.pixel_size <= max_size), None)
+                if base is not None:
+                    item = Simplified(copy, _add_base(copy, base, scene), base.pixel_size, levels, False)
+                else:
+                    item = Simplified(copy, copy, 0.0, levels, False)
+        found.append(item)
+    return found
+
+
+def _add_base(copy: bpy.types.Object, level: SimplifiedMesh, scene: bpy.types.Scene) -> bpy.types.Object:
+    """Return a new object that shows a level at the place of `copy`."""
+    base = bpy.data.objects.new(copy.name, level.mesh)
+    copy_render_properties(copy, base)
+    base.matrix_world = world_matrix(copy)
+    scene.collection.objects.link(base)
+    return base
 
 
 @contextmanager
@@ -139,38 +210,50 @@ def _in_scene(steps: Steps[object], context: dict[str, bpy.types.ID]) -> Steps[o
             steps.close()
 
 
-def _read_part(asset: Asset, item: bpy.types.Object, copy: bpy.types.Object, sets: Sequence[LevelSet]) -> Part:
-    """Return an object of an asset with its perceptual levels, if it has any."""
-    inverse = asset.frame.inverted_safe()
-    unit = mean_scale(asset.frame)
-    meshes, candidates = [(item.data, inverse @ world_matrix(item))], []
+def _scale(asset: Asset, item: bpy.types.Object) -> float:
+    """Return the length of a unit of an object in units of the asset."""
+    return mean_scale(asset.frame.inverted_safe() @ world_matrix(item))
+
+
+def _read_part(asset: Asset, item: bpy.types.Object, simplified: Simplified, sets: Sequence[LevelSet]) -> Part:
+    """Return an object of an asset with its light meshes or its perceptual levels, if it has any."""
+    inverse, unit = asset.frame.inverted_safe(), mean_scale(asset.frame)
+    matrix, copy = inverse @ world_matrix(item), simplified.copy
+    evaluated = copy.evaluated_get(copy.users_scene[0].view_layers[0].depsgraph)
+    meshes, candidates = [(item.data, matrix)], [LevelCandidate(count_own_triangles(evaluated), 0.0)]
+    for level in simplified.levels:
+        meshes.append((level.mesh, matrix))
+        candidates.append(LevelCandidate(level.triangles, level.pixel_size * _scale(asset, copy)))
     for levels in (levels for levels in sets if levels.source == copy):
-        for level, error in zip(levels.levels, levels.errors, strict=True):
+        for level, error in zip(levels.levels[1:], levels.errors[1:], strict=True):
             world = world_matrix(level)
             candidates.append(LevelCandidate(count_triangles(level.data), error * mean_scale(world) / unit))
-            if len(candidates) > 1:
-                meshes.append((level.data, inverse @ world))
-    if not candidates:
-        evaluated = copy.evaluated_get(copy.users_scene[0].view_layers[0].depsgraph)
-        candidates.append(LevelCandidate(count_own_triangles(evaluated), 0.0))
+            meshes.append((level.data, inverse @ world))
     return Part(copy, meshes, candidates)
 
 
 def _assemble(
-    asset: Asset, fingerprint: str, parts: Sequence[Part], scene_clouds: Sequence[SceneCloud], settings: DistanceSettings
+    asset: Asset,
+    fingerprint: str,
+    parts: Sequence[Part],
+    combined: Sequence[tuple[LevelCandidate, tuple[int, ...]]],
+    scene_clouds: Sequence[SceneCloud],
+    base_size: float,
+    settings: DistanceSettings,
 ) -> Chain:
-    """Choose among the levels of all objects together and those of the cloud, and create the chain."""
-    combined = combine_levels([part.candidates for part in parts])
+    """Choose among the levels of all objects together, see `combine_levels`, and those of the cloud, and create the chain.
+
+    base_size: of the pixels above which what the cloud was made of looks like the asset.
+    """
     inverse, unit = asset.frame.inverted_safe(), mean_scale(asset.frame)
-    quads = [(level, error / unit) for cloud in scene_clouds for level, error in zip(cloud.levels, cloud.errors, strict=True)]
+    quads = [(level, base_size + error / unit) for cloud in scene_clouds for level, error in zip(cloud.levels, cloud.errors, strict=True)]
     candidates = [candidate for candidate, _ in combined]
     candidates += [LevelCandidate(count_triangles(level.data), error) for level, error in quads]
-    copies: dict[bpy.types.Material, bpy.types.Material] = {}
     levels = []
-    for index, pixel_size in choose_levels(candidates, settings.max_error):
+    for index in choose_levels(candidates):
         if index < len(combined):
             indices = combined[index][1]
-            objects = [_create_object(part, number, copies) for part, number in zip(parts, indices, strict=True)]
+            objects = [_create_object(part, number) for part, number in zip(parts, indices, strict=True)]
         else:
             level = quads[index - len(combined)][0]
             objects = [(level, inverse @ world_matrix(level))]
@@ -178,25 +261,15 @@ def _assemble(
                 collection.objects.unlink(level)
         for item, _ in objects:
             item.name = f"{asset.name} Level {len(levels)}"
-        levels.append(NewLevel(objects, pixel_size, candidates[index].triangles))
+        levels.append(NewLevel(objects, candidates[index].pixel_size, candidates[index].triangles))
     return create_chain(asset.name, fingerprint, levels, (asset.low, asset.high), settings.fade_range)
 
 
-def _create_object(
-    part: Part, number: int, copies: dict[bpy.types.Material, bpy.types.Material]
-) -> tuple[bpy.types.Object, mathutils.Matrix]:
-    """Return a new object that shows a level of `part`, and its matrix. That of the first level has copies of the materials of the
-    original, so that a cross-fade leaves these as they are."""
+def _create_object(part: Part, number: int) -> tuple[bpy.types.Object, mathutils.Matrix]:
+    """Return a new object that shows a level of `part`, and its matrix."""
     mesh, matrix = part.meshes[number]
-    if number:
-        item = bpy.data.objects.new(part.copy.name, mesh)
-        copy_render_properties(part.copy, item)
-        return item, matrix
-    item = part.copy.copy()
-    for slot in item.material_slots:
-        material = slot.material
-        if material is not None:
-            copies.setdefault(material, None)
-            copies[material] = copies[material] or material.copy()
-            slot.link, slot.material = "OBJECT", copies[material]
+    if not number:
+        return part.copy.copy(), matrix
+    item = bpy.data.objects.new(part.copy.name, mesh)
+    copy_render_properties(part.copy, item)
     return item, matrix
