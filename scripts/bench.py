@@ -29,13 +29,14 @@ FOLDER = environment.ROOT / "benchmarks"
 # The benchmarks of each tool, with the flags of a short run.
 BENCHMARKS = {
     "distance": {"bench_distance.py": "--samples 8"},
-    "billboards": {"bench_billboards.py": "--only ordinary --models bunny"},
+    "billboards": {"bench_billboards.py": "--only ordinary --models colonnade"},
     "btf": {
-        "bench_btf.py": "--only images --models spot --no-lpca --views-per-side 4 --pairs 6 --samples 16 --reference-samples 64",
+        "bench_btf.py": "--only images --models spot --no-lpca --views-per-side 4 --lights-per-side 4 --pairs 4 --samples 8 "
+        "--reference-samples 32 --sizes switch",
         "bench_relight.py": "--models spot --lights sun --errors 2% --pairs 4 --samples 8 --reference-samples 16",
     },
     "unwrap": {"bench_unwrap.py": "--only hard_surfaces"},
-    "restore": {"bench_restore.py": "--quick"},
+    "restore": {"bench_restore.py": "--quick --textures canvas marble twill --masks blob"},
     "photos": {"bench_photos.py": "--only synthetic --set tuning --size 256"},
     "clipbox": {"bench_clipbox.py": "--only extraction --repeats 1", "bench_clipbox_images.py": "--only uniform"},
     "bdam": {"bench_bdam.py": "--only simplifier_alone --set tuning --size 257"},

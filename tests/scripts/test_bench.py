@@ -22,10 +22,12 @@ def test_ratios_are_found_by_their_names():
         },
         "levels": [{"ratios": {"mean": {"best": "other", "ratio": 0.25}}}, {"ratios": {"flip": 4.0, "none": None}}],
     }
+    report["images"] = {"a": {"cloud": {"flip": 0.1, "psnr": 30.0}, "decimate": {"flip": 0.4, "psnr": 20.0}}, "b": {"cloud": 3}}
     assert find_ratios(report) == [
         Ratio("disks", "l2_over_slim", 2, pytest.approx(1.0), 0.5, 2.0),
         Ratio("levels", "ratio", 1, 0.25, 0.25, 0.25),
         Ratio("levels", "ratios", 1, 4.0, 4.0, 4.0),
+        Ratio("images", "flip_over_decimate", 1, 0.25, 0.25, 0.25),
     ]
 
 
