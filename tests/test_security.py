@@ -34,6 +34,13 @@ def test_the_extension_opens_no_network_connection_of_its_own():
     assert not {entry for entry in found if entry[1].partition(".")[0] in NETWORK | CLUSTERS}
 
 
+def test_the_extension_changes_neither_the_modules_nor_the_search_path_of_blender():
+    """Worker processes have their own."""
+    changes = re.compile(r"sys\.(?:path|meta_path|path_hooks)\b|sys\.modules(?:\[[^\]]*\] = |\.(?:update|setdefault)\()")
+    found = {path.name for path in ADDON.rglob("*.py") if changes.search(path.read_text(encoding="utf-8"))}
+    assert found == {"worker_start.py", "core_worker_start.py"}
+
+
 def name_of(function: ast.expr) -> str:
     """`load` or `np.load`; "" for what has no such name. It takes a fraction of the time of ast.unparse."""
     if isinstance(function, ast.Attribute) and isinstance(function.value, ast.Name):
