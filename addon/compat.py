@@ -39,6 +39,12 @@ def image_paint_settings(tools: bpy.types.ToolSettings) -> bpy.types.UnifiedPain
     return tools.image_paint.unified_paint_settings if bpy.app.version >= (5, 0, 0) else tools.unified_paint_settings
 
 
+def read_node_input(modifier: bpy.types.NodesModifier, name: str) -> object:
+    """Return the input `name` of the node group of a Geometry Nodes modifier, see `set_node_input`."""
+    identifier = modifier.node_group.interface.items_tree[name].identifier
+    return getattr(modifier.properties.inputs, identifier).value if bpy.app.version >= (5, 2, 0) else modifier[identifier]
+
+
 def set_node_input(modifier: bpy.types.NodesModifier, name: str, value: object) -> None:
     """Set the input `name` of the node group of a Geometry Nodes modifier. From Blender 5.2 on, inputs are no custom properties."""
     identifier = modifier.node_group.interface.items_tree[name].identifier

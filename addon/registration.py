@@ -1,6 +1,6 @@
 """Registration of all operators, properties and panels with Blender, unregistered in reverse order."""
 
-from .operators import documentation, follow_handlers, long_work
+from .operators import documentation, follow_handlers, long_work, presets, results, source_tracking, user_cache
 from .operators.bdam import build as bdam_build
 from .operators.bdam import freeze as bdam_freeze
 from .operators.bdam import ground as bdam_ground
@@ -11,6 +11,7 @@ from .operators.btf import operators as btf_operators
 from .operators.clipbox import convert_to_mesh as clipbox_convert
 from .operators.clipbox import operators as clipbox_operators
 from .operators.distance import operators as distance_operators
+from .operators.distance import viewport as distance_viewport
 from .operators.packages import operators as packages_operators
 from .operators.photos import import_cameras as photos_import
 from .operators.photos import operators as photos_operators
@@ -30,17 +31,24 @@ from .panels import billboards as billboards_panels
 from .panels import btf as btf_panels
 from .panels import clipbox as clipbox_panels
 from .panels import distance as distance_panels
-from .panels import menus
+from .panels import menus, preferences
 from .panels import packages as packages_panels
 from .panels import photos as photos_panels
+from .panels import presets as presets_panels
 from .panels import restore as restore_panels
+from .panels import results as results_panels
 from .panels import texmesh as texmesh_panels
 from .panels import unwrap as unwrap_panels
 
 MODULES = (
+    results,
     long_work,
     documentation,
     follow_handlers,
+    source_tracking,
+    user_cache,
+    preferences,
+    presets,
     billboards_operators,
     btf_operators,
     btf_exports,
@@ -65,6 +73,8 @@ MODULES = (
     bdam_freeze,
     bdam_build,
     distance_operators,
+    distance_viewport,
+    presets_panels,
     distance_panels,  # The first panel of the tab.
     billboards_panels,
     btf_panels,
@@ -75,6 +85,7 @@ MODULES = (
     packages_panels,
     clipbox_panels,
     bdam_panels,
+    results_panels,
     menus,
 )
 

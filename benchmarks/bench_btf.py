@@ -66,7 +66,7 @@ def build_parser() -> command_line.Parser:
 def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     """Run the benchmark and return its measurements as JSON; raises FarfieldError if a mesh is missing or a bake fails."""
     values = vars(build_parser().parse_args(arguments))
-    parts, report, work = values.pop("only"), values.pop("report"), values.pop("work")
+    parts, report, work, _ = (values.pop(name) for name in ("only", "report", "work", "files"))
     figures = {}
     with tempfile.TemporaryDirectory(prefix="farfield-benchmark-") as folder:
         options = BenchmarkOptions(**values, work=Path(folder) if work is None else work.absolute())

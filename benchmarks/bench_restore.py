@@ -49,7 +49,7 @@ from lib import command_line
 
 PHOTOGRAPHS = environment.ROOT.parent / "shared" / "data" / "ordinary" / "photographs"
 DATA = environment.ROOT.parent / "shared" / "data" / "sceaux" / "images"
-QUICK_PEERS = ("telea", "patchmatch")
+QUICK_PEERS = ("telea", "patchmatch-7")
 
 Part = Callable[[Namespace, Methods], Iterator[dict[str, Any]]]
 

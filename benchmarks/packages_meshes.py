@@ -30,6 +30,7 @@ from farfield.addon.core import packages
 from farfield.addon.core.files.temporary_folders import temporary_folder
 from farfield.addon.core.geometry.mesh import TriangleMesh
 from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.packages.manifest import MAX_STEPS
 from farfield.addon.core.packages.mesh.coding import encode_mesh
 from farfield.addon.core.packages.mesh.order import OrderedMesh, order_mesh
 from farfield.addon.core.texmesh.settings import TexmeshSettings
@@ -104,7 +105,7 @@ def measure_model(mesh: TexturedMesh) -> dict[str, Any]:
     ordered = order_mesh(mesh, result.levels, result)
     content, levels, bounds, uv_bounds = encode_mesh(ordered, (0.0,) * len(ordered.levels), material_count)
     encoded = time.process_time()
-    manifest = SimpleNamespace(levels=levels, bounds=bounds, uv_bounds=uv_bounds)
+    manifest = SimpleNamespace(levels=levels, bounds=bounds, uv_bounds=uv_bounds, steps=(MAX_STEPS, MAX_STEPS))
     decode_level(content, manifest, len(levels) - 1)
     decoded = time.process_time()
     nothing = np.zeros(0, np.int32)

@@ -18,7 +18,7 @@ from restore_textures import GENERATED, add_gradient
 SMALL_SIZE, SMALL_FRACTION, SMALL_BOUND = (450, 600), 0.05, 3.0  # rows and columns, masked, seconds
 LARGE_SIZE, LARGE_FRACTION, LARGE_HOLES = (4096, 4096), 0.02, 200
 LARGE_BOUNDS = {"seconds": 60.0, "peak_memory_above_imports_mb": 1000.0}
-LARGE_PEERS = ("telea", "navier-stokes", "biharmonic", "patchmatch")  # the others would take most of an hour or all memory
+LARGE_PEERS = ("telea", "navier-stokes", "biharmonic", "patchmatch-7")  # the others would take most of an hour or all memory
 GROWTH_METHODS = ("farfield", "telea")
 REPEATS = 3
 HOLE_PIXELS = 1700  # Mean size of a hole where the number of holes grows.

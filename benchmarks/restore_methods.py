@@ -23,7 +23,7 @@ FARFIELD = {  # settings by the name of the method
     "diffusion": RestoreSettings(split="diffusion"),
 }
 DIFFUSION_PEERS = ("telea", "telea-10", "navier-stokes", "navier-stokes-10", "biharmonic")
-PATCH_PEERS = ("shift-map", "patchmatch", "patchmatch-7")
+PATCH_PEERS = ("shift-map", "patchmatch-7", "patchmatch-15")
 PEERS = (*DIFFUSION_PEERS, "fsr", *PATCH_PEERS)  # fsr extrapolates frequencies: neither of the two
 
 

@@ -53,7 +53,7 @@ def with_biharmonic(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
 
 def with_patchmatch(radius: int) -> Restore:
-    """Return a call of PyPatchMatch with patches of this radius."""
+    """Return a call of PyPatchMatch with patches of this radius, whose sides are twice as long and a pixel more."""
 
     def restore(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
         patchmatch.set_random_seed(0)
@@ -70,8 +70,8 @@ METHODS = {
     "biharmonic": with_biharmonic,
     "fsr": with_xphoto(cv2.xphoto.INPAINT_FSR_BEST),
     "shift-map": with_shift_map,
-    "patchmatch": with_patchmatch(3),
-    "patchmatch-7": with_patchmatch(7),
+    "patchmatch-7": with_patchmatch(3),
+    "patchmatch-15": with_patchmatch(7),
 }
 
 

@@ -19,13 +19,14 @@ def find_operators() -> dict[str, type[bpy.types.Operator]]:
 
 
 def operator_table() -> str:
-    """Return a Markdown table with a row per operator, in the order of the tools."""
+    """Return a Markdown table with a row per operator, in the order of the tools, and those of all tools at the end."""
     from farfield.addon.operators.documentation import TOOLS
 
     operators, buttons = find_operators(), find_buttons()
 
     def order(identifier: str) -> tuple[int, str]:
-        return TOOLS.index(re.match(r"farfield\.([a-z]+)", identifier)[1]), identifier
+        tool = re.match(r"farfield\.([a-z]+)", identifier)[1]
+        return (TOOLS.index(tool) if tool in TOOLS else len(TOOLS)), identifier
 
     rows = ["| Operator | Label | Button |", "|---|---|---|"]
     for identifier in sorted(operators, key=order):

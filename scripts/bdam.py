@@ -34,11 +34,11 @@ from farfield.addon.core.bdam import (
     open_field,
 )
 from farfield.addon.core.bdam.building.store_target import check_target
-from farfield.addon.core.bdam.building.terrain_build import folder_bytes
 from farfield.addon.core.bdam.fields.terrain_field import warn_of_heights
 from farfield.addon.core.bdam.settings import ViewSettings
 from farfield.addon.core.bdam.view.engine import BdamEngine
 from farfield.addon.core.errors import FileError, SettingsError
+from farfield.addon.core.files.file_access import folder_bytes
 from farfield.addon.core.files.scratch import Scratch
 from farfield.addon.core.geometry.viewers import Projection, Viewer, camera_window, look_at
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
@@ -48,6 +48,7 @@ from farfield.addon.operators.bdam.job import ShowJob
 from farfield.addon.operators.job_run import run_job
 from lib import command_line, run_files, scene_files
 from lib.atomic_output import atomic_file
+from lib.executors import DASK_HELP, open_executor
 from lib.mesh_export import write_obj, write_ply
 from lib.script_stdout import mute_stderr
 
@@ -63,7 +64,7 @@ def build_parser() -> command_line.Parser:
     """Return the parser of all arguments of the script."""
     parser = command_line.Parser(prog="bdam.py", description="Build large terrain, look into it, check it, and extract meshes from it.")
     commands = parser.add_subparsers(dest="command", required=True, metavar="build|info|verify|extract")
-    build = commands.add_parser("build", description="Build a store from elevation models.")
+    build = commands.add_parser("build", description=f"Build a store from elevation models. {DASK_HELP}")
     build.add_argument("inputs", nargs="+", type=run_files.INPUT, metavar="INPUT", help="elevation models that form one grid")
     build.add_argument("--out", type=STORE, required=True, metavar="STORE", help="the folder to write")
     build.add_argument(
@@ -115,7 +116,9 @@ def build(given: Namespace, line: command_line.ProgressLine) -> str:
         field_settings = FieldSettings(settings.cell_size, settings.image_height, settings.allow_gaps)
         with mute_stderr():  # libraries print what is wrong with a file
             field = open_field(inputs, field_settings, lambda path: scratch.keep(read_gray_image(path), 0))
-        report = run_to_end(build_terrain(warn_of_heights(field), inputs, given.out.absolute(), settings, images), line.show)
+        with open_executor(settings.executor) as executor:
+            steps = build_terrain(warn_of_heights(field), inputs, given.out.absolute(), settings, images, executor)
+            report = run_to_end(steps, line.show)
     line.clear()
     workers = command_line.children_peak_memory_mb()
     figures = {

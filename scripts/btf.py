@@ -2,6 +2,7 @@
 
 CLOUD.blend contains source objects and their cloud, as written by scripts/billboards.py. In OUT.blend the cloud looks like the source under
 all lights and from all directions; with --model emission under the Sun light --sun and uniform lighting of the World.
+--executor dask:tcp://HOST:PORT sends the renders to the workers of a Dask scheduler.
 `blender --background --python scripts/btf.py -- CLOUD.blend --out OUT.blend` does the same.
 """
 
@@ -27,6 +28,7 @@ from farfield.addon.core.btf.settings import BtfSettings, ExportSettings
 from farfield.addon.core.errors import GeometryError, SettingsError
 from farfield.addon.core.files.filenames import unique_filenames
 from farfield.addon.core.files.user_folders import check_owner
+from farfield.addon.core.jobs.executors import Executor
 from farfield.addon.core.jobs.progress import StageClock, run_to_end, subprogress
 from farfield.addon.core.settings import add_flags
 from farfield.addon.operators.btf import export_job
@@ -35,13 +37,15 @@ from farfield.addon.operators.job_run import run_job
 from lib import command_line, run_files, scene_files
 from lib.atomic_output import atomic_file
 from lib.contact_sheet import write_png
+from lib.executors import DASK_HELP, open_executor
 
 EXPORT = run_files.PathType(is_output=True, check=export_job.check_target)
 
 
 def build_parser() -> command_line.Parser:
     """Return the parser of all arguments of the script."""
-    parser = command_line.Parser(prog="btf.py", description="Bake relightable textures for billboard clouds with Cycles.")
+    description = f"Bake relightable textures for billboard clouds with Cycles. {DASK_HELP}"
+    parser = command_line.Parser(prog="btf.py", description=description)
     parser.add_argument("input", type=run_files.INPUT, help="a .blend file with source objects and their cloud")
     parser.add_argument("--out", type=run_files.OUTPUT_SCENE.ending_in(".blend"), required=True, help="the .blend file to write")
     parser.add_argument(
@@ -78,13 +82,14 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     check_model(settings, options.curve, export_paths)
     check_directions(settings, export_settings, export_paths)
     clock = StageClock()
-    with clock.stage("read"):
-        scene_files.open_scene(options.input.absolute(), options.files)
-        sun = find_or_create_sun(options.sun) if settings.bakes_emission else None
-        jobs = prepare_jobs(settings, None if options.work is None else options.work.absolute(), export_paths)
-    summaries = [
-        run_to_end(subprogress(run_job(job), index / len(jobs), (index + 1) / len(jobs)), line.show) for index, job in enumerate(jobs)
-    ]
+    with open_executor(settings.executor) as executor:
+        with clock.stage("read"):
+            scene_files.open_scene(options.input.absolute(), options.files)
+            sun = find_or_create_sun(options.sun) if settings.bakes_emission else None
+            jobs = prepare_jobs(settings, None if options.work is None else options.work.absolute(), export_paths, executor)
+        summaries = [
+            run_to_end(subprogress(run_job(job), index / len(jobs), (index + 1) / len(jobs)), line.show) for index, job in enumerate(jobs)
+        ]
     line.clear()
     with clock.stage("write"):
         if sun is not None:
@@ -126,8 +131,11 @@ def all_levels() -> list[bpy.types.Object]:
     return [level for cloud in clouds_in(bpy.context.scene) for level in cloud.levels]
 
 
-def prepare_jobs(settings: BtfSettings, work_folder: Path | None, exports: list[Path]) -> list[BakeJob]:
-    """Return one job per cloud of the open scene, after a check that its levels can be exported."""
+def prepare_jobs(settings: BtfSettings, work_folder: Path | None, exports: list[Path], executor: Executor | None = None) -> list[BakeJob]:
+    """Return one job per cloud of the open scene, after a check that its levels can be exported.
+
+    executor: where views are rendered; that of the settings if it is None.
+    """
     clouds = clouds_in(bpy.context.scene)
     if not clouds:
         raise GeometryError("The file contains no billboard cloud; build one with scripts/billboards.py.")
@@ -138,7 +146,8 @@ def prepare_jobs(settings: BtfSettings, work_folder: Path | None, exports: list[
     names = unique_filenames([cloud.collection.name for cloud in clouds])
     folders = [None if work_folder is None else work_folder / name for name in names]
     return [
-        prepare_bake(bpy.context, cloud, settings, folder, keep_finished_views=True) for cloud, folder in zip(clouds, folders, strict=True)
+        prepare_bake(bpy.context, cloud, settings, folder, keep_finished_views=True, executor=executor)
+        for cloud, folder in zip(clouds, folders, strict=True)
     ]
 
 

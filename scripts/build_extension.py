@@ -2,14 +2,16 @@
 
     python3 scripts/build_extension.py [--platform linux-x64 ...] [--python 3.13 ...] [--out dist]
 
-Writes `farfield-<version>-<platform>-python<python>.zip` for every platform and Python of Blender, and `farfield-<version>.zip` for the
-running ones. Blender's extension tool builds and validates each zip. Wheels are downloaded once, checked against requirements/wheels.txt,
-and cached in build/wheels.
+Writes `farfield-<version>-<platform>-python<python>.zip` for every platform and Python of blender.org's Blender, and
+`farfield-<version>.zip` for the running ones. Other Pythons, of distributions that build Blender themselves, are built where --python names
+them. Blender's extension tool builds and validates each zip. Wheels are downloaded once, checked against requirements/wheels.txt, and
+cached in build/wheels.
 """
 
 import argparse
 import hashlib
 import importlib.util
+import json
 import platform
 import re
 import shutil
@@ -27,13 +29,15 @@ environment.ensure(extra_modules=("markdown",))
 import tomllib  # only after ensure(): older Pythons, which can start this script, lack it
 
 from lib.docs_html import write_pages
+from lib.wheel_copyrights import read_copyrights
 
 ROOT = environment.ROOT
 WHEELS_LOCK = ROOT / "requirements" / "wheels.txt"
 WHEELS_CACHE = ROOT / "build" / "wheels"
 STAGED_FILES = ("addon", "__init__.py", "LICENSE")  # in addition to the manifest, to which the wheels are added
-# The first version of Blender with a Python, and the first one with a newer Python.
+# The first version of Blender with a Python, and the first one with a newer Python: those of blender.org, then those of distributions.
 BLENDER_VERSIONS = {"3.11": ("4.5.0", "5.1.0"), "3.13": ("5.1.0", None)}
+OTHER_VERSIONS = {"3.14": ("4.5.0", None)}
 PLATFORMS = {  # wheel tags for the oldest systems that Blender 4.5 and 5.2 support
     "linux-x64": ("manylinux_2_28_x86_64", "manylinux_2_27_x86_64", "manylinux_2_17_x86_64", "manylinux2014_x86_64"),
     "macos-arm64": ("macosx_12_0_arm64",),
@@ -82,14 +86,41 @@ def fetch_wheels(target: str, python: str) -> list[Path]:
     if wheels:
         return wheels
     shutil.rmtree(folder, ignore_errors=True)
-    command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps", "--only-binary", ":all:"]
-    command += ["--require-hashes", "-r", str(WHEELS_LOCK), "--dest", str(folder), "--python-version", python]
-    command += [argument for tag in PLATFORMS[target] for argument in ("--platform", tag)]
-    outcome = subprocess.run(command, stdout=sys.stderr, check=False)
+    if python in OTHER_VERSIONS:
+        return download_available(folder, target, python)
+    outcome = download(WHEELS_LOCK, folder, target, python)
     wheels = cached_wheels(folder)
     if outcome.returncode != 0 or not wheels:
-        raise BuildError(f"pip could not download the wheels for {target} and Python {python}; see the lines above.")
+        raise BuildError(f"pip could not download the wheels for {target} and Python {python}: {outcome.stderr.strip()}")
     return wheels
+
+
+def download_available(folder: Path, target: str, python: str) -> list[Path]:
+    """Download the locked wheels that exist for a platform and a Python to `folder`, and print the names of the others.
+
+    Raises:
+        BuildError: pip cannot download one that exists.
+    """
+    entries = re.findall(r"(?m)^[\w-]+==(?:.*\\\n)+.*$", WHEELS_LOCK.read_text(encoding="utf-8"))
+    with tempfile.TemporaryDirectory() as temporary:
+        for entry in entries:
+            lock = Path(temporary) / "lock.txt"
+            lock.write_text(entry, encoding="utf-8")
+            outcome = download(lock, folder, target, python)
+            name = entry.split("==")[0]
+            if "No matching distribution found" in outcome.stderr:
+                print(f"{name} has no wheel for {target} and Python {python}; the zip does without it.", file=sys.stderr)
+            elif outcome.returncode != 0:
+                raise BuildError(f"pip could not download {name} for {target} and Python {python}: {outcome.stderr.strip()}")
+    return sorted(folder.glob("*.whl"))
+
+
+def download(lock: Path, folder: Path, target: str, python: str) -> subprocess.CompletedProcess:
+    """Let pip download the wheels of a lock file to `folder`."""
+    command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps", "--only-binary", ":all:"]
+    command += ["--require-hashes", "-r", str(lock), "--dest", str(folder), "--python-version", python]
+    command += [argument for tag in PLATFORMS[target] for argument in ("--platform", tag)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
 def stage_files(target: str, python: str, folder: Path) -> None:
@@ -104,18 +135,26 @@ def stage_files(target: str, python: str, folder: Path) -> None:
     wheels = fetch_wheels(target, python)
     for wheel in wheels:
         shutil.copy2(wheel, folder / "wheels")
-    names = "".join(f'  "./wheels/{wheel.name}",\n' for wheel in wheels)
     manifest = (ROOT / "blender_manifest.toml").read_text(encoding="utf-8")
-    (folder / "blender_manifest.toml").write_text(complete_manifest(manifest, target, python, names), encoding="utf-8")
+    names = [f"./wheels/{wheel.name}" for wheel in wheels]
+    completed = complete_manifest(manifest, target, python, names, read_copyrights(wheels))
+    (folder / "blender_manifest.toml").write_text(completed, encoding="utf-8")
 
 
-def complete_manifest(manifest: str, target: str, python: str, wheels: str) -> str:
-    """Return the manifest of a zip: with its platform, the versions of Blender that have its Python, and the lines of `wheels`."""
-    first, end = BLENDER_VERSIONS[python]
+def complete_manifest(manifest: str, target: str, python: str, wheels: list[str], copyrights: list[str]) -> str:
+    """Return the manifest of a zip: with its platform, the versions of Blender that have its Python, the paths of `wheels` in the zip, and
+    their copyright holders."""
+    first, end = (BLENDER_VERSIONS | OTHER_VERSIONS)[python]
     last = "" if end is None else f'blender_version_max = "{end}"  # the first version with another Python\n'
     manifest = re.sub(r"(?m)^blender_version_min = .*\n", f'blender_version_min = "{first}"\n{last}', manifest)
+    manifest = re.sub(r"(?m)^copyright = \[(.*)\]\n", lambda match: f"copyright = [\n  {match[1]},\n{_toml_lines(copyrights)}]\n", manifest)
     before, table, after = manifest.partition("[permissions]")  # top-level keys must precede the first table
-    return f'{before}platforms = ["{target}"]\nwheels = [\n{wheels}]\n\n{table}{after}'
+    return f'{before}platforms = ["{target}"]\nwheels = [\n{_toml_lines(wheels)}]\n\n{table}{after}'
+
+
+def _toml_lines(texts: list[str]) -> str:
+    """Return the entries of a TOML array of strings, which are written as in JSON."""
+    return "".join(f"  {json.dumps(text, ensure_ascii=False)},\n" for text in texts)
 
 
 def run_blender_tool(*arguments: str) -> None:
@@ -164,7 +203,8 @@ def running_platform() -> str:
 def main() -> int:
     parser = argparse.ArgumentParser(description="Build the extension's zips.")
     parser.add_argument("--platform", action="append", choices=list(PLATFORMS), help="build for this platform only (may be repeated)")
-    parser.add_argument("--python", action="append", choices=list(BLENDER_VERSIONS), help="build for this Python only (may be repeated)")
+    pythons = [*BLENDER_VERSIONS, *OTHER_VERSIONS]
+    parser.add_argument("--python", action="append", choices=pythons, help="build for this Python only (may be repeated)")
     parser.add_argument("--out", type=Path, default=ROOT / "dist", help="folder for the zips (default: dist)")
     arguments = parser.parse_args()
     version = tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))["version"]

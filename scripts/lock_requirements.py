@@ -13,6 +13,7 @@ import tempfile
 from pathlib import Path
 
 from lib.environment import LOCKS, ROOT, Lock, find_interpreter
+from reference_tools import DOCS_TOOLS as DOCS_SET
 from reference_tools import PYTHON_VERSION as REFERENCE_PYTHON
 from reference_tools import REFERENCE_TOOLS as REFERENCE_SET
 from reference_tools import TEXTURE_TOOLS as TEXTURE_SET
@@ -42,6 +43,7 @@ DEVELOPMENT = [  # not bundled
     "markdown==3.11.3",  # pages of the docs as HTML in the zip
     "distributed==2026.8.0",  # Dask
 ]
+OTHER_PYTHONS = [(3, 14)]  # Distributions that build Blender themselves have these; wheels only.
 NUMPY = {(3, 11): "numpy==1.26.4", (3, 13): "numpy==2.5.5"}  # Blender 4.5 and 5.0 contain 1.26
 REFERENCE_TOOLS = [  # see reference_tools.py, with what btf-extractor needs to be built and run
     "flip-evaluator==1.7",
@@ -56,6 +58,7 @@ TEXTURE_TOOLS = [  # textures from photographs, see reference_tools.py
     *["adobe-lagrange==6.49.0", "colorama==0.4.6", "nanobind-backend==1.0.0", "numpy==1.26.4", "pillow==13.0.0"],
     *["pymeshlab==2025.7.post1", "scipy==1.17.1"],
 ]
+DOCS_TOOLS = ["mkdocs==1.6.1", "mkdocs-material==9.8.2"]  # the docs as a site, see build_docs.py
 TEXTURE_PLATFORMS = {  # newer than what Blender needs
     "linux-x64": [[f"manylinux_2_{minor}_x86_64" for minor in (35, 28, 27, 17)] + ["manylinux2014_x86_64"]],
     "macos-arm64": [["macosx_15_0_arm64"]],
@@ -77,7 +80,17 @@ def resolve(python: tuple[int, int], tags: list[str], requirements: list[str], *
     Raises:
         MissingWheel: a package has no wheel for this platform.
     """
-    command = [*find_interpreter(python), "-m", "pip", "install", "--dry-run", "--ignore-installed", "--only-binary", ":all:", "--quiet"]
+    command = [
+        *(find_interpreter(python) or [sys.executable]),
+        "-m",
+        "pip",
+        "install",
+        "--dry-run",
+        "--ignore-installed",
+        "--only-binary",
+        ":all:",
+        "--quiet",
+    ]
     command += ["--python-version", f"{python[0]}.{python[1]}"] + [argument for tag in tags for argument in ("--platform", tag)]
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report.json"
@@ -145,10 +158,12 @@ def lock_wheels() -> None:
     """Write the lock of the wheels in the extension's zips."""
     merged: dict[str, Pins] = {}
     comments = [
-        "The wheels inside the extension's zips, for Python 3.11 and 3.13. Written by scripts/lock_requirements.py; change it there."
+        "The wheels inside the extension's zips, for Python 3.11, 3.13 and 3.14. Written by scripts/lock_requirements.py; change it there."
     ]
-    for python in sorted({lock.python for lock in LOCKS}):
-        pins, skipped = resolve_everywhere(python, WHEELS, dependencies=False)
+    pythons = sorted({lock.python for lock in LOCKS})
+    # Zips for other Pythons do without what has no wheel there, so each package is resolved alone.
+    for python, wheels in [*((python, WHEELS) for python in pythons), *((python, [wheel]) for python in OTHER_PYTHONS for wheel in WHEELS)]:
+        pins, skipped = resolve_everywhere(python, wheels, dependencies=False)
         comments += [f"Not for {platform} on {python[0]}.{python[1]}: {package} has no wheel." for platform, package in skipped.items()]
         for platform, platform_pins in pins.items():
             for pin, hashes in platform_pins.items():
@@ -166,9 +181,9 @@ def lock_reference_tools() -> None:
     )
 
 
-def _lock_tools(tools: ToolSet, requirements: list[str], platforms: dict[str, list[list[str]]]) -> list[str]:
+def _lock_tools(tools: ToolSet, requirements: list[str], platforms: dict[str, list[list[str]]], *, dependencies: bool = False) -> list[str]:
     """Write the lock of the wheels of a set of tools; returns the comment at its top."""
-    pins, skipped = resolve_everywhere(REFERENCE_PYTHON, requirements, dependencies=False, platforms=platforms)
+    pins, skipped = resolve_everywhere(REFERENCE_PYTHON, requirements, dependencies=dependencies, platforms=platforms)
     python = ".".join(map(str, REFERENCE_PYTHON))
     comments = [f"What scripts/reference_tools.py installs, for Python {python}. Written by scripts/lock_requirements.py; change it there."]
     write(tools.lock, [*comments, *(f"Not for {platform}: {package} has no wheel there." for platform, package in skipped.items())], pins)
@@ -186,6 +201,8 @@ def main() -> None:
         lock_reference_tools()
     if not names or "texture-tools" in names:
         _lock_tools(TEXTURE_SET, TEXTURE_TOOLS, TEXTURE_PLATFORMS)
+    if not names or "docs-tools" in names:
+        _lock_tools(DOCS_SET, DOCS_TOOLS, PLATFORMS, dependencies=True)
 
 
 if __name__ == "__main__":

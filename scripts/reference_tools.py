@@ -2,6 +2,7 @@
 
     python3 scripts/reference_tools.py                  what most tests and benchmarks need, see below
     python3 scripts/reference_tools.py texture-tools    Lagrange and PyMeshLab, for benchmarks/bench_photos.py
+    python3 scripts/reference_tools.py docs-tools       MkDocs, for scripts/build_docs.py, which installs it itself
 
 The first set contains btf-extractor, flip-evaluator, OpenCV, pydelatin, pymartini, PyPatchMatch and scikit-image.
 Farfield itself does not need them. They require other package versions than Blender, so each set has an environment of its own.
@@ -42,7 +43,8 @@ REFERENCE_TOOLS = ToolSet(
 TEXTURE_TOOLS = ToolSet(
     "texture-tools", REQUIREMENTS / "texture-tools.txt", None, "import lagrange.texproc, PIL, pymeshlab", ("xvfb", "libqt5gui5")
 )
-TOOL_SETS = {tools.name: tools for tools in (REFERENCE_TOOLS, TEXTURE_TOOLS)}
+DOCS_TOOLS = ToolSet("docs-tools", REQUIREMENTS / "docs-tools.txt", None, "import material, mkdocs")
+TOOL_SETS = {tools.name: tools for tools in (REFERENCE_TOOLS, TEXTURE_TOOLS, DOCS_TOOLS)}
 
 
 def find_python(tools: ToolSet = REFERENCE_TOOLS) -> Path | None:

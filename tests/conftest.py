@@ -26,6 +26,7 @@ for variable in ("TMPDIR", "TEMP", "TMP"):
     os.environ[variable] = tempfile.tempdir = TEMPORARY_FOLDER
 
 environment.import_farfield()
+environment.find_blender_modules()
 # Machines are shared: no test fails for being slow.
 hypothesis.settings.register_profile("no_deadline", hypothesis.settings.default, deadline=None)
 hypothesis.settings.load_profile("no_deadline")

@@ -76,7 +76,9 @@ def add_scatter(points: Sequence[Sequence[float]], kinds: Sequence[bpy.types.Obj
     return item
 
 
-def attach_levels(objects: Sequence[bpy.types.Object], fade_range: float = 0.0, scales: Sequence[float] = (1.0, 1.0, 1.0)) -> list[Chain]:
+def attach_levels(
+    objects: Sequence[bpy.types.Object], fade_range: float = 0.0, scales: Sequence[float] = (1.0, 1.0, 1.0), max_error: float = 1.0
+) -> list[Chain]:
     """Attach chains of three boxes, "<name> 0" to "<name> 2", to the assets that `objects` show.
 
     scales: of the objects of the levels, whose meshes have the inverse scale.
@@ -90,7 +92,7 @@ def attach_levels(objects: Sequence[bpy.types.Object], fade_range: float = 0.0, 
             box = add_box(f"{asset.name} {number}", size=0.5 / scale, linked=False)
             levels.append(NewLevel([(box, mathutils.Matrix.Scale(scale, 4))], size, 12))
         chains.append(create_chain(asset.name, "", levels, (asset.low, asset.high), fade_range))
-        attach_chain(asset, chains[-1], scene, fade_range)
+        attach_chain(asset, chains[-1], scene, fade_range, max_error)
     bpy.context.view_layer.update()
     return chains
 

@@ -6,6 +6,7 @@ from typing import Any
 import bpy
 
 LAYOUT = {"name", "location", "location_absolute", "width", "height", "select", "show_options", "show_preview", "hide", "color", "parent"}
+LAYOUT |= {"show_texture"}  # which image Solid views show
 
 
 def describe_tree(tree: bpy.types.NodeTree) -> dict[str, Any]:

@@ -54,10 +54,16 @@ def find_node() -> str | None:
     return shutil.which("node")
 
 
+def find_mkdocs() -> Path | None:
+    """Return the Python that has MkDocs, None if there is none."""
+    return reference_tools.find_python(reference_tools.DOCS_TOOLS)
+
+
 PROGRAMS = (
     Program("Chromium", find_chromium, r"find_chromium", 1, f"install Chromium, or set {CHROMIUM_VARIABLE} to its program"),
     Program("Node", find_node, r'find_node|which\("node"\)', 2, "install Node.js"),
     Program("the reference tools", reference_tools.find_python, r"reference.tools|mean_flip", None, "python3 scripts/reference_tools.py"),
+    Program("MkDocs", find_mkdocs, r"find_mkdocs", None, "python3 scripts/build_docs.py"),
 )
 
 

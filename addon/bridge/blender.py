@@ -1,13 +1,6 @@
-"""Blender as a program: redrawing of its editors, the messages of its errors, and the Python modules that it brings along.
-
-These modules are importable inside Blender, but not on the search path of pip's bpy.
-"""
+"""Blender as a program: redrawing of its editors, the messages of its errors, and the Python modules that it brings along."""
 
 import importlib
-import importlib.machinery
-import importlib.util
-import sys
-from pathlib import Path
 from types import ModuleType
 
 import bpy
@@ -39,40 +32,9 @@ def import_blender_module(name: str, purpose: str, advice: str) -> ModuleType:
     Raises:
         FileError: this Blender lacks the module, or it does not load.
     """
-    if name in sys.modules:
-        return sys.modules[name]
     try:
-        if importlib.util.find_spec(name) is not None:
-            return importlib.import_module(name)
-        module = _import_from(bundled_folders(), name)
+        return importlib.import_module(name)
     except ImportError as error:
         reason = str(error).partition("\n")[0].rstrip(".")
-        raise FileError(f"{purpose} needs the module {name}, which this Blender cannot load ({reason}); {advice}.") from error
-    if module is None:
-        raise FileError(f"{purpose} needs the module {name}, which this Blender lacks; {advice}.")
-    return module
-
-
-def bundled_folders() -> list[Path]:
-    """Return the folders with Blender's own modules.
-
-    They are lib/python3.x/site-packages below Blender's folder `python` on Linux and macOS, and lib/site-packages on Windows.
-    """
-    return sorted((Path(bpy.utils.resource_path("LOCAL")) / "python").rglob("site-packages"))
-
-
-def _import_from(folders: list[Path], name: str) -> ModuleType | None:
-    """Import the module from one of `folders` without adding them to the search path: they hold other versions of installed packages.
-
-    Returns None if none of them contains it. Raises ImportError if it does not load.
-    """
-    spec = importlib.machinery.PathFinder.find_spec(name, [str(folder) for folder in folders])
-    if spec is None or spec.loader is None:
-        return None
-    module = sys.modules[name] = importlib.util.module_from_spec(spec)
-    try:
-        spec.loader.exec_module(module)
-    except ImportError:
-        del sys.modules[name]
-        raise
-    return module
+        problem = "lacks" if isinstance(error, ModuleNotFoundError) else f"cannot load ({reason})"
+        raise FileError(f"{purpose} needs the module {name}, which this Blender {problem}; {advice}.") from error

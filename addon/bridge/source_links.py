@@ -1,7 +1,9 @@
 """The source objects of what was built from them, found again after they were renamed.
 
-A collection stores names and tokens, not pointers: linking a cloud or levels into another file must not link their sources. A local
-source object has the same token as a custom property. Duplicates of the object copy it, so the token alone does not identify the source.
+A collection stores names and tokens, not pointers: linking a cloud or levels into another file must not link their sources, and a file
+must not keep sources that the user has deleted. A local source object has the same token as a custom property. Duplicates of the object
+copy it, so the token alone does not identify the source: its name, its place and its identity in this session do, which `refresh_sources`
+stores again before a file is saved and after it was opened.
 """
 
 import json
@@ -45,6 +47,25 @@ def find_sources(collection: bpy.types.Collection, index: SourceIndex) -> list[t
     return [(entry["name"], _find_source(entry, index)) for entry in _read_entries(collection)]
 
 
+def refresh_sources() -> None:
+    """Store the current name, place and identity of each local source object, so that it is found after it is renamed and moved."""
+    index = SourceIndex()
+    for collection in bpy.data.collections:
+        if SOURCES in collection and collection.library is None and collection.override_library is None:
+            entries = _read_entries(collection)
+            found = [_find_source(entry, index) for entry in entries]
+            current = [
+                entry | _locate(item) if item is not None and "token" in entry else entry
+                for entry, item in zip(entries, found, strict=True)
+            ]
+            if current != entries:
+                collection[SOURCES] = json.dumps(current)
+
+
+def _locate(item: bpy.types.Object) -> dict[str, Any]:
+    return {"name": item.name, "uid": item.session_uid, "matrix": _matrix(item)}
+
+
 def _describe(item: bpy.types.Object) -> dict[str, Any]:
     """Return the entry of a source object, and give it a token. Linked objects and library overrides cannot keep one."""
     library_key = _library_key(item)
@@ -52,7 +73,7 @@ def _describe(item: bpy.types.Object) -> dict[str, Any]:
         return {"name": item.name, "library": list(library_key)}
     if not (isinstance(item.get(TOKEN), str) and _is_known_source(item)):  # a duplicate of a source becomes a source of its own
         item[TOKEN] = uuid.uuid4().hex
-    return {"name": item.name, "token": item[TOKEN], "uid": item.session_uid, "matrix": _matrix(item)}
+    return {"token": item[TOKEN], **_locate(item)}
 
 
 def _is_known_source(item: bpy.types.Object) -> bool:

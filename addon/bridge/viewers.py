@@ -9,10 +9,13 @@ import numpy as np
 from ..core.geometry.cameras import Camera
 from ..core.geometry.viewers import FULL_SPHERE, Projection, Viewer, camera_window, projection_from_matrix
 from .cameras import render_size, sensor_spans_width
+from .units import format_length
 
 DEFAULT_EXTENT = 36.0 / 50.0  # sensor width divided by focal length of a new camera
 MIN_EXTENT = 1e-6  # An orthographic camera may have the scale 0.
 DEFAULT_NEAR, DEFAULT_FAR = 0.1, 1000.0  # Those of a new camera.
+MIN_CLIP_END = 4.0  # relative to the size of a terrain
+MIN_CLIP_START = 2e-6  # relative to the end of the clipping range: nearer surfaces of far terrain would flicker
 
 
 def viewer_matrix(scene: bpy.types.Scene, region: bpy.types.RegionView3D | None) -> mathutils.Matrix:
@@ -82,3 +85,22 @@ def viewport_camera(region: bpy.types.RegionView3D, width: int) -> Camera:
     if projection[3][3] != 0.0:  # orthographic
         return Camera(position, max(width, 1), 0.0, 2.0 / projection[0][0])
     return Camera(position, max(width, 1), 2.0 * math.atan(1.0 / projection[0][0]))
+
+
+def extend_clipping(space: bpy.types.SpaceView3D, size: float) -> None:
+    """Let a 3D Viewport show a terrain of this size, scene units, as a whole, also from outside and after *Frame All*.
+
+    In Solid shading it no longer outlines objects, which would draw lines between tiles.
+    """
+    space.shading.show_object_outline = False
+    space.clip_end = max(space.clip_end, MIN_CLIP_END * size)
+    space.clip_start = max(space.clip_start, MIN_CLIP_START * space.clip_end)
+
+
+def describe_camera_range(scene: bpy.types.Scene, size: float) -> str:
+    """Return a sentence if the active camera does not reach to the end of a terrain of this size, scene units; else an empty string."""
+    camera = scene.camera
+    if camera is None or camera.type != "CAMERA" or camera.data.clip_end >= size:
+        return ""
+    shown = format_length(scene, camera.data.clip_end)
+    return f'The camera "{camera.name}" shows nothing beyond {shown}; raise Clip End to {format_length(scene, size)}.'

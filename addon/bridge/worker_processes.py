@@ -1,20 +1,23 @@
 """Blender worker processes that run one module of Farfield: how to start them, and how they end."""
 
+import json
 import os
 import shutil
 import sys
 from pathlib import Path
 
 import bpy
-import scipy
+
+from ..core.jobs.core_worker import module_folders
 
 START_SCRIPT = Path(__file__).with_name("worker_start.py")
+MODULES = ("scipy", "openvdb")  # that workers may not find: Blender has the first one by its extensions, pip's bpy the second by scripts
 
 
 def worker_command(module: str, arguments: list[str]) -> list[str]:
     """Return the command of a process like this one that calls `main(arguments)` of a `module` of the extension, for instance
     `addon.bridge.btf.capture.worker`, and exits with the returned code. Blender starts itself; Python with pip's bpy starts Python."""
-    worker_arguments = [module, str(Path(scipy.__file__).resolve().parents[1]), *arguments]
+    worker_arguments = [module, json.dumps(module_folders(*MODULES)), *arguments]
     if bpy.app.module:
         return [sys.executable, str(START_SCRIPT), *worker_arguments]
     return [bpy.app.binary_path, "--background", "--factory-startup", "--python", str(START_SCRIPT), "--", *worker_arguments]

@@ -1,13 +1,14 @@
 """Entry script of a worker process: imports the extension that contains it under a private name, and calls one of its modules.
 
-    python worker_start.py MODULE FOLDER ARGUMENTS...
-    blender --background --python worker_start.py -- MODULE FOLDER ARGUMENTS...
+    python worker_start.py MODULE FOLDERS ARGUMENTS...
+    blender --background --python worker_start.py -- MODULE FOLDERS ARGUMENTS...
 
-FOLDER contains SciPy, which Blender does not find without its extensions.
+FOLDERS is a JSON list of the folders that contain SciPy, which Blender does not find without its extensions, and Blender's own modules.
 """
 
 import importlib
 import importlib.util
+import json
 import os
 import sys
 import traceback
@@ -25,9 +26,8 @@ for variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 def main() -> None:
     """Load the package, call the module, and exit with the returned code."""
     arguments = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]
-    module, folder, *module_arguments = arguments
-    if importlib.util.find_spec("scipy") is None:
-        sys.path.append(folder)  # last: NumPy must be Blender's own
+    module, folders, *module_arguments = arguments
+    sys.path += [folder for folder in json.loads(folders) if folder not in sys.path]  # last: NumPy must be Blender's own
     spec = importlib.util.spec_from_file_location(PACKAGE, ROOT / "__init__.py", submodule_search_locations=[str(ROOT)])
     package = importlib.util.module_from_spec(spec)
     sys.modules[PACKAGE] = package

@@ -3,8 +3,10 @@
 Messages quote names of files and data-blocks, which may contain anything; `single_line` makes them fit to be shown.
 """
 
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
 
 NOT_PRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # Control characters and line separators.
 QUOTED_OR_NUMBER = re.compile(r'"([^"]*)"|\d[\d,.]*(?<=\d)')
@@ -55,11 +57,31 @@ def _merge_alike(sentences: Sequence[str]) -> Sequence[str]:
     return [f'{sentences[0].removesuffix(".")} (likewise "{names[1]}" and {format_count(len(names) - 2, "other")}).']
 
 
-def first_sentences(message: str, max_chars: int) -> str:
-    """Return the sentences at the beginning of `message` that have up to `max_chars` characters together, but at least one sentence."""
+def split_sentences(message: str) -> list[str]:
+    """Return the sentences of `message`; at least one, which may be empty."""
     ends = [*(match.start() + 1 for match in SENTENCE_END.finditer(message)), len(message)]
     ends = [end for end in ends if message.count('"', 0, end) % 2 == 0 or end == len(message)]  # names may have the signs of an end
-    return message[: max((end for end in ends if end <= max_chars), default=ends[0])]
+    return [message[start:end].strip() for start, end in pairwise([0, *ends])]
+
+
+def first_sentences(message: str, max_chars: int) -> str:
+    """Return the sentences at the beginning of `message` that have up to `max_chars` characters together, but at least one sentence."""
+    first, *others = split_sentences(message)
+    for sentence in others:
+        if len(first) + 1 + len(sentence) > max_chars:
+            break
+        first = f"{first} {sentence}"
+    return first
+
+
+def format_number(value: float, digits: int = 3) -> str:
+    """Return a number with so many significant digits, those before the point all the same, and never with an exponent: "0.00012", "45.3",
+    "3,390"."""
+    if not math.isfinite(value) or value == 0.0:
+        return f"{value:g}"
+    decimals = max(digits - 1 - math.floor(math.log10(abs(value))), 0)
+    text = f"{value:,.{decimals}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
 
 
 def describe_lacking(lacking: Mapping[str, Sequence[str]], place: str) -> list[str]:

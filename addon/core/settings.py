@@ -65,6 +65,7 @@ class Description:
         is_color: marks three numbers as a color as displayed, 0 to 1.
         group: the sub-panel that shows the setting, "" for the main panel.
         panel_label: replaces `label` in a panel, where there is room for about 15 characters.
+        in_presets: whether presets hold it; not if it names a file or data-block of the user.
         used_if: what other settings must be so that this one counts, by name; all must be so.
         condition: the same as text, for instance "Terrain is Heights or Forest"; "" if the setting always counts.
     """
@@ -82,6 +83,7 @@ class Description:
     is_color: bool
     group: str
     panel_label: str
+    in_presets: bool
     used_if: Mapping[str, Condition]
     condition: str = ""
 
@@ -153,12 +155,14 @@ def setting(
     is_color: bool = False,
     group: str = "",
     panel_label: str | None = None,
+    in_presets: bool | None = None,
     used_if: Mapping[str, Condition] | None = None,
 ) -> Any:
     """Declare one setting as a dataclass field; see `Description`. `label` is the field's name in title case by default, `panel_label` is
-    `label`."""
+    `label`, and presets hold it unless it is a path."""
     metadata = {"help": help, "label": label, "minimum": minimum, "maximum": maximum, "unit": unit, "choices": choices or {}, "path": path}
     metadata |= {"is_color": is_color, "group": group, "panel_label": panel_label, "used_if": used_if or {}}
+    metadata["in_presets"] = path is None if in_presets is None else in_presets
     return dataclasses.field(default=default, metadata=metadata)
 
 

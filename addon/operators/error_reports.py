@@ -9,10 +9,7 @@ from ..compat import blender_version
 from ..core.bundled_modules import BUNDLED_MODULES
 from ..core.errors import Cancelled, FarfieldError
 from ..core.files.defect_log import defect_message, write_defect_log
-from ..core.messages import first_sentences, single_line
-
-STATUS_CHARS = 120  # that fit the status bar of a small window, followed by MORE
-MORE = "More in the Info editor."
+from ..core.messages import single_line
 
 
 def describe_error(error: Exception, title: str) -> str:
@@ -34,14 +31,6 @@ def describe_error(error: Exception, title: str) -> str:
 def report_message(operator: bpy.types.Operator, message: str, level: str = "INFO") -> None:
     """Show `message` to the user on one line. level: "INFO", "WARNING" or "ERROR"."""
     operator.report({level}, single_line(message))
-
-
-def report_result(operator: bpy.types.Operator, message: str) -> None:
-    """Show the result of a run: if `message` does not fit the status bar, which shows the last report, its first sentences there."""
-    report_message(operator, message)
-    first = first_sentences(single_line(message), STATUS_CHARS)
-    if len(first) < len(single_line(message)):
-        report_message(operator, f"{first} {MORE}")
 
 
 def report_error(operator: bpy.types.Operator, error: Exception, title: str = "") -> set[str]:

@@ -39,11 +39,11 @@ def run_job(job: Job) -> Steps[str]:
 class Run:
     """A job running in the background of the interface.
 
-    follow_up: is called after the undo step of a run that has finished.
+    tool: whose panel shows the result. follow_up: is called after the undo step of a run that has finished.
     """
 
-    def __init__(self, job: Job, title: str, follow_up: Callable[[], None] = lambda: None) -> None:
-        self.title, self.follow_up = title, follow_up
+    def __init__(self, job: Job, title: str, tool: str = "", follow_up: Callable[[], None] = lambda: None) -> None:
+        self.title, self.tool, self.follow_up = title, tool, follow_up
         self.progress = Progress(0.0, "Starting")
         self.message: str | None = None
         self._job = job

@@ -10,8 +10,9 @@ from typing import Any
 import bpy
 
 from ..core.jobs.progress import run_to_end
-from .error_reports import report_error, report_message, report_result, reports_errors
+from .error_reports import report_error, report_message, reports_errors
 from .job_run import TICK, Job, Run, run_job, status_text
+from .results import report_result, store_result, tool_of
 
 _current: Run | None = None  # operators, panels, timers and load handlers of Blender share the one running job
 _shown_status = ""
@@ -67,6 +68,7 @@ class LongWork:
             message = run_to_end(run_job(self.prepare(context)), lambda step: window_manager.progress_update(step.fraction))
         finally:
             window_manager.progress_end()
+        store_result(context.scene, tool_of(type(self).bl_idname), message)
         report_message(self, message)
         return {"FINISHED"}
 
@@ -77,7 +79,7 @@ class LongWork:
             return self.execute(context)
         if not self._check_no_job_runs():
             return {"CANCELLED"}
-        start_in_background(self.prepare(context), self.bl_label, self.prepare_follow_up(context))
+        start_in_background(self.prepare(context), self.bl_label, tool_of(type(self).bl_idname), self.prepare_follow_up(context))
         return {"INTERFACE"}  # handled, but nothing to undo or repeat yet
 
     def _check_no_job_runs(self) -> bool:
@@ -117,6 +119,7 @@ class FARFIELD_OT_finish_job(bpy.types.Operator):
                 return report_error(self, error, run.title)
             if finished:
                 self.cancel(context)
+                store_result(context.scene, run.tool, run.message)
                 bpy.ops.ed.undo_push(message=run.title)
                 report_result(self, run.message)
                 run.follow_up()
@@ -150,13 +153,13 @@ class FARFIELD_OT_cancel_job(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def start_in_background(job: Job, title: str, follow_up: Callable[[], None] = lambda: None) -> None:
+def start_in_background(job: Job, title: str, tool: str = "", follow_up: Callable[[], None] = lambda: None) -> None:
     """Start `job` while the interface stays usable; no other job may run. It becomes one undo step with this title.
 
-    follow_up: see `Run`.
+    tool, follow_up: see `Run`.
     """
     global _current
-    _current = Run(job, title, follow_up)
+    _current = Run(job, title, tool, follow_up)
     bpy.app.timers.register(_watch_core, first_interval=TICK)
     bpy.app.handlers.load_pre.append(_cancel_before_loading)
     _show_status()

@@ -12,6 +12,7 @@ import bpy
 
 from ..core.errors import FileError
 from ..core.settings import Description, Settings, Unit, describe
+from .user_cache import process_count
 
 NUMBER_SUBTYPES = {
     Unit.FRACTION: "PERCENTAGE",
@@ -100,12 +101,15 @@ def from_blender(description: Description, value: Any) -> Any:
 
 def read(settings_type: type[Settings], owner: Any) -> Settings:
     """Return the settings held by `owner`, a property group or operator with properties from `build_annotations`. Settings for which it has
-    no property keep their defaults.
+    no property keep their defaults, and processes without a number are as many as the preferences say.
 
     Raises:
         SettingsError: a value is out of range.
     """
-    return settings_type(**{item.name: from_blender(item, getattr(owner, item.name)) for item in _find_properties(settings_type, owner)})
+    values = {item.name: from_blender(item, getattr(owner, item.name)) for item in _find_properties(settings_type, owner)}
+    if values.get("executor") == PROCESSES and process_count():
+        values["executor"] = f"{PROCESSES}:{process_count()}"
+    return settings_type(**values)
 
 
 def fill_unset(settings_type: type[Settings], operator: bpy.types.Operator, group: bpy.types.PropertyGroup) -> None:
@@ -123,6 +127,7 @@ def _round(value: float) -> float:
     return float(f"{value:.6g}")
 
 
+PROCESSES = "processes"  # the executor that is as many processes as the preferences say
 BLEND_PREFIX = "//"  # Paths relative to the .blend file begin with it.
 
 

@@ -201,3 +201,11 @@ def is_transforming() -> bool:
     """Return whether the user transforms objects: they must not be exchanged now."""
     windows = bpy.context.window_manager.windows
     return any(operator.bl_idname.startswith("TRANSFORM_OT_") for window in windows for operator in window.modal_operators)
+
+
+def show_textures(area_address: int) -> None:
+    """Let the 3D Viewport at this address show images in Solid shading, with their alpha, if it shows the colors of materials there."""
+    _, area = find_viewport(area_address)
+    shading = None if area is None else area.spaces.active.shading
+    if shading is not None and shading.type == "SOLID" and shading.color_type == "MATERIAL":
+        shading.color_type = "TEXTURE"

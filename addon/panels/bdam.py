@@ -9,7 +9,7 @@ from ..operators.bdam.build import KINDS, FARFIELD_OT_bdam_add_files, FARFIELD_O
 from ..operators.bdam.freeze import FARFIELD_OT_bdam_freeze, FARFIELD_OT_bdam_freeze_path
 from ..operators.bdam.ground import FARFIELD_OT_bdam_drop
 from ..operators.bdam.operators import FARFIELD_OT_bdam_load, FARFIELD_OT_bdam_remove
-from .sidebar import SettingsPanel, SidebarPanel, TerrainPanel, draw_message, draw_table, format_megabytes
+from .sidebar import SettingsPanel, SidebarPanel, TerrainPanel, draw_message, draw_table, format_megabytes, sub_panels
 
 PANEL = "FARFIELD_PT_bdam"
 MAX_LISTED = 8  # files of a build
@@ -21,6 +21,7 @@ class FARFIELD_PT_bdam(TerrainPanel, bpy.types.Panel):
 
     bl_idname = PANEL
     bl_label = "Large Terrain"
+    bl_description = "For elevation models of any size, as detailed as the view needs them"
     page = "bdam"
     bl_options = {"DEFAULT_CLOSED"}
     terrain_type, start_button = SceneTerrain, (FARFIELD_OT_bdam_load, "Load", "FILE_FOLDER")
@@ -31,14 +32,19 @@ class FARFIELD_PT_bdam(TerrainPanel, bpy.types.Panel):
         self.layout.operator(FARFIELD_OT_bdam_remove.bl_idname, text="Remove", icon="TRASH")
 
 
-class FARFIELD_PT_bdam_build(SettingsPanel, bpy.types.Panel):
+class BuildSettingsPanel(SettingsPanel):
+    """Mixin of the panels that show settings of builds."""
+
+    settings, property_name = describe(BdamSettings), "farfield_bdam_build"
+
+
+class FARFIELD_PT_bdam_build(BuildSettingsPanel, bpy.types.Panel):
     """Files and settings of the next build."""
 
     bl_idname = "FARFIELD_PT_bdam_build"
     bl_label = "Build"
     bl_parent_id = PANEL
     bl_options = {"DEFAULT_CLOSED"}
-    settings, property_name = describe(BdamSettings), "farfield_bdam_build"
     buttons = ((FARFIELD_OT_bdam_build, "Build", "RNDCURVE"),)
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -128,6 +134,7 @@ class FARFIELD_PT_bdam_figures(SidebarPanel, bpy.types.Panel):
 CLASSES = (
     FARFIELD_PT_bdam,
     FARFIELD_PT_bdam_build,
+    *sub_panels(BuildSettingsPanel, "FARFIELD_PT_bdam_build"),
     FARFIELD_PT_bdam_display,
     FARFIELD_PT_bdam_ground,
     FARFIELD_PT_bdam_freeze,

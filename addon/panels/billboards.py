@@ -5,11 +5,12 @@ import math
 import bpy
 
 from ..bridge import cameras
-from ..bridge.billboards.clouds import MESH_TRIANGLES
-from ..bridge.billboards.scene_clouds import SceneCloud, find_cloud
+from ..bridge.billboards.scene_clouds import SceneCloud, clouds_in, find_cloud
 from ..bridge.geometry.mesh_arrays import count_triangles
+from ..bridge.units import format_length
 from ..core.billboards.settings import BillboardSettings, BuildOptions, CrossfadeSettings
 from ..core.geometry.cameras import Camera
+from ..core.messages import format_count
 from ..core.settings import describe
 from ..operators import properties
 from ..operators.billboards.estimates import cache, estimate_key
@@ -22,6 +23,7 @@ from ..operators.billboards.operators import (
     disabled_reason,
 )
 from ..operators.billboards.sources import describe_selection
+from .results import draw_details
 from .sidebar import (
     SettingsPanel,
     SidebarPanel,
@@ -36,7 +38,7 @@ from .sidebar import (
 
 PANEL = "FARFIELD_PT_billboards"
 ESTIMATE_TITLES = ("Estimate", "Tris", "in Mesh", "Quads", "MB")
-LEVEL_TITLES = ("Level", "Tris", "in Mesh", "Quads", "MB", "Distance")
+LEVEL_TITLES = ("Level", "Tris", "Quads", "MB", "From")
 
 
 class BillboardSettingsPanel(SettingsPanel):
@@ -50,6 +52,8 @@ class FARFIELD_PT_billboards(BillboardSettingsPanel, ToolPanel, bpy.types.Panel)
 
     bl_idname = PANEL
     bl_label = "Billboard Cloud"
+    bl_description = "Textured quads for what is far away, above all trees and crowds. Before that, Perceptual Levels"
+    bl_options = {"DEFAULT_CLOSED"}
     page = "billboards"
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -87,7 +91,7 @@ class FARFIELD_PT_billboards_levels(CloudPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw one row per level and the visibility buttons."""
         cloud, camera = find_cloud(context.scene, context.active_object), cameras.read_scene_camera(context.scene)
-        draw_levels(self.layout, cloud, camera)
+        draw_levels(self.layout, cloud, camera, context.scene)
         if camera is None:
             self.layout.label(text="The scene has no active camera", icon="INFO")
         buttons = self.layout.column(align=True)
@@ -101,12 +105,21 @@ class FARFIELD_PT_billboards_levels(CloudPanel, bpy.types.Panel):
 
 
 class FARFIELD_PT_billboards_crossfade(CloudPanel, SettingsPanel, bpy.types.Panel):
-    """The cross-fade between levels of all clouds."""
+    """The cross-fade between levels of the active cloud, or of all clouds."""
 
     bl_idname = "FARFIELD_PT_billboards_crossfade"
     bl_label = "Cross-Fade"
     settings, property_name = describe(CrossfadeSettings), "farfield_billboards"
-    buttons = ((FARFIELD_OT_billboards_crossfade, "Cross-Fade Levels", "SMOOTHCURVE"),)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the settings, and a toggle for the clouds of selected objects and one for all."""
+        self.draw_settings(context)
+        row, identifier = self.layout.row(align=True), FARFIELD_OT_billboards_crossfade.bl_idname
+        fades = find_cloud(context.scene, context.active_object).has_crossfade
+        all_fade = all(cloud.has_crossfade for cloud in clouds_in(context.scene))
+        own = row.operator(identifier, text="Cross-Fade", icon="SMOOTHCURVE", depress=fades)
+        own.enable, own.selected = not fades, True
+        row.operator(identifier, text="All Clouds", depress=all_fade).enable = not all_fade
 
 
 def draw_estimate(layout: bpy.types.UILayout, context: bpy.types.Context, group: bpy.types.PropertyGroup) -> None:
@@ -128,25 +141,22 @@ def draw_estimate(layout: bpy.types.UILayout, context: bpy.types.Context, group:
         layout.operator(FARFIELD_OT_billboards_estimate.bl_idname, text="Estimate")
 
 
-def draw_levels(layout: bpy.types.UILayout, cloud: SceneCloud, camera: Camera | None) -> None:
-    """Draw triangles, those in decimated meshes, quads and memory of each level of a cloud, its switch distance for `camera`, and notes."""
+def draw_levels(layout: bpy.types.UILayout, cloud: SceneCloud, camera: Camera | None, scene: bpy.types.Scene) -> None:
+    """Draw triangles, quads and memory of each level of a cloud, its switch distance for `camera` in units of `scene`, and its notes."""
     layout.label(text=cloud.collection.name, icon="OUTLINER_COLLECTION")
     rows = []
     for index, level in enumerate(cloud.levels):
-        distance = "-" if camera is None else format_distance(camera.switch_distance(level["farfield_error"]))
-        triangles = count_triangles(level.data)
-        in_meshes = level.get(MESH_TRIANGLES)
-        counts = f"{triangles:,}", "-" if in_meshes is None else f"{in_meshes:,}", f"{level['farfield_quads']:,}"
-        figures = *counts, format_megabytes(cloud.texture_bytes(index))
-        rows.append((str(index), *figures, distance))
+        distance = "-" if camera is None else format_distance(scene, camera.switch_distance(level["farfield_error"]))
+        counts = f"{count_triangles(level.data):,}", f"{level['farfield_quads']:,}"
+        rows.append((str(index), *counts, format_megabytes(cloud.texture_bytes(index)), distance))
     draw_table(layout, LEVEL_TITLES, rows)
-    for note in cloud.notes:
-        draw_message(layout, note, "INFO")
+    if cloud.notes:
+        draw_details(layout, cloud.notes, f"Details ({format_count(len(cloud.notes), 'note')})")
 
 
-def format_distance(distance: float) -> str:
-    """Return a switch distance in scene units as text; for orthographic cameras it is "always" or "never"."""
-    return "always" if distance == 0.0 else "never" if math.isinf(distance) else f"{distance:.4g}"
+def format_distance(scene: bpy.types.Scene, distance: float) -> str:
+    """Return a switch distance as text in the units of `scene`; for orthographic cameras it is "always" or "never"."""
+    return "always" if distance == 0.0 else "never" if math.isinf(distance) else format_length(scene, distance)
 
 
 CLASSES = (

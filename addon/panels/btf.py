@@ -45,6 +45,7 @@ class FARFIELD_PT_btf(BtfSettingsPanel, ToolPanel, bpy.types.Panel):
 
     bl_idname = PANEL
     bl_label = "Relightable Textures"
+    bl_description = "For billboard clouds: sharp silhouettes from all views, which all lights reach"
     page = "btf"
     bl_options = {"DEFAULT_CLOSED"}
 
@@ -95,6 +96,7 @@ def draw_estimate(layout: bpy.types.UILayout, cloud: SceneCloud, settings: BtfSe
     view_count = settings.view_count * len(cloud.levels)
     raw, compressed = format_megabytes(estimate.raw_bytes), format_megabytes(estimate.final_bytes)
     column = layout.box().column(align=True)
+    column.label(text=f"Silhouettes from {settings.view_count:,} views", icon="HIDE_OFF")
     column.label(text=f"{estimate.renders:,} renders, about {job_run.format_duration(estimate.seconds)}", icon="RENDER_STILL")
     column.label(text=f"{raw} MB uncompressed", icon="BLANK1")
     column.label(text=f"{compressed} MB compressed", icon="FILE_IMAGE")

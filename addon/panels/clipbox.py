@@ -18,6 +18,7 @@ class FARFIELD_PT_clipbox(TerrainPanel, bpy.types.Panel):
 
     bl_idname = PANEL
     bl_label = "Clip-Box Terrain"
+    bl_description = "For landscapes without end, with caves and overhangs, from noise, formulas and files"
     page = "clipbox"
     bl_options = {"DEFAULT_CLOSED"}
     terrain_type, start_button = SceneTerrain, (FARFIELD_OT_clipbox_create, "Create", "WORLD_DATA")

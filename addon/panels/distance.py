@@ -4,35 +4,82 @@ import bpy
 
 from ..bridge import cameras
 from ..bridge.distance.chains import Chain, read_chains
-from ..bridge.distance.placing import has_levels, shows_levels
+from ..bridge.distance.placing import has_levels, max_errors, shows_levels
 from ..core.distance.settings import DistanceSettings
 from ..core.json_values import parse_json
-from ..core.messages import format_count
+from ..core.messages import format_bytes
 from ..core.settings import describe
+from ..operators.distance.analysis import OUTCOMES
+from ..operators.distance.measuring import LEVELS, ORIGINALS
 from ..operators.distance.operators import (
     FARFIELD_OT_distance_analyze,
     FARFIELD_OT_distance_build,
+    FARFIELD_OT_distance_measure,
     FARFIELD_OT_distance_remove,
     FARFIELD_OT_distance_show_original,
     disabled_reason,
 )
-from .sidebar import SettingsPanel, SidebarPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, draw_table
+from ..operators.distance.viewport import FARFIELD_OT_distance_follow_view
+from ..operators.distance.viewport import current as following
+from .sidebar import (
+    SettingsPanel,
+    SidebarPanel,
+    ToolPanel,
+    draw_button,
+    draw_message,
+    draw_progress_bar,
+    draw_table,
+    settings_column,
+    sub_panels,
+)
 
-PLAN_TITLES = ("Object", "Triangles", "Nearest")
 LEVEL_TITLES = ("Level", "Triangles", "From")
+FIGURE_TITLES = ("Per Frame", "Originals", "Levels")
 MAX_ROWS = 8
+PLAN_ICONS = {"build": "MOD_DECIM", "ready": "CHECKMARK", "stays": "MESH_DATA"}
+NAME_PART, TRIANGLES_PART = 0.5, 0.5  # Of a row, and of the rest of it.
 
 
-class FARFIELD_PT_distance(SettingsPanel, ToolPanel, bpy.types.Panel):
+class DistanceSettingsPanel(SettingsPanel):
+    """Mixin of the panels with settings."""
+
+    settings, property_name = describe(DistanceSettings), "farfield_distance"
+
+
+class FARFIELD_UL_distance_plans(bpy.types.UIList):
+    """The objects of the latest analysis, heaviest first, with their triangles at all places and their largest extent in an image."""
+
+    bl_idname = "FARFIELD_UL_distance_plans"
+
+    def draw_item(
+        self,
+        context: bpy.types.Context,
+        layout: bpy.types.UILayout,
+        data: bpy.types.PropertyGroup,
+        item: bpy.types.PropertyGroup,
+        icon: int,
+        active_data: bpy.types.PropertyGroup,
+        active_property: str,
+    ) -> None:
+        """Draw one row."""
+        row = layout.split(factor=NAME_PART)
+        row.active = item.outcome != "stays" and item.method != "original"
+        row.label(text=f"{item.places:,} x {item.name}" if item.places > 1 else item.name, icon=PLAN_ICONS[item.outcome])
+        figures = row.split(factor=TRIANGLES_PART)
+        figures.alignment = "RIGHT"
+        figures.label(text=shorten_number(item.places * item.triangles))
+        figures.label(text=f"{item.pixels:,.0f} px")
+
+
+class FARFIELD_PT_distance(DistanceSettingsPanel, ToolPanel, bpy.types.Panel):
     """The settings, and the buttons or the progress bar."""
 
     bl_idname = "FARFIELD_PT_distance"
     bl_label = "Distance-Ready"
     page = "distance"
-    settings, property_name = describe(DistanceSettings), "farfield_distance"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Draw the settings, the table of the latest analysis and the buttons. While a job runs, the progress bar replaces the buttons."""
+        """Draw the settings, the list of the latest analysis and the buttons. While a job runs, the progress bar replaces the buttons."""
         layout = self.layout
         self.draw_settings(context)
         if draw_progress_bar(layout, disabled_reason(context)):
@@ -40,10 +87,16 @@ class FARFIELD_PT_distance(SettingsPanel, ToolPanel, bpy.types.Panel):
         if cameras.read_scene_camera(context.scene) is None:
             draw_message(layout, "Add a camera: levels depend on its distance", "INFO")
         layout.operator(FARFIELD_OT_distance_analyze.bl_idname, text="What Is Heavy?", icon="VIEWZOOM")
-        draw_plans(layout, context.scene.farfield_distance.analysis)
+        draw_plans(layout, context.scene.farfield_distance)
         draw_button(layout, FARFIELD_OT_distance_build, "Make Distance-Ready", "MOD_DECIM")
         if has_levels(context.scene):
+            draw_figures(layout, context.scene.farfield_distance.figures)
             column = layout.column(align=True)
+            column.operator(FARFIELD_OT_distance_measure.bl_idname, text="Measure", icon="TIME")
+            row = column.row(align=True)
+            row.operator(
+                FARFIELD_OT_distance_follow_view.bl_idname, text="Follow View", icon="VIEW_PERSPECTIVE", depress=following.is_running
+            )
             is_original = not shows_levels(context.scene.objects)
             column.operator(FARFIELD_OT_distance_show_original.bl_idname, text="Show Originals", icon="MESH_DATA", depress=is_original)
             column.operator(FARFIELD_OT_distance_remove.bl_idname, text="Remove", icon="X")
@@ -64,35 +117,66 @@ class FARFIELD_PT_distance_levels(SidebarPanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw a table per object."""
-        for chain in read_chains()[:MAX_ROWS]:
+        errors = max_errors(context.scene)
+        for chain in [chain for chain in read_chains() if chain.collections[0] in errors][:MAX_ROWS]:
             self.layout.label(text=chain.name, icon="MOD_DECIM")
-            draw_chain(self.layout, chain, context.scene)
+            draw_chain(self.layout, chain, context.scene, errors[chain.collections[0]])
 
 
-def draw_plans(layout: bpy.types.UILayout, analysis: str) -> None:
-    """Draw the table of an analysis, heaviest objects first."""
-    plans = parse_json(analysis) if analysis else []
-    rows = []
-    for plan in plans[:MAX_ROWS]:
-        name = f"{plan['places']:,} x {plan['name']}" if plan["places"] > 1 else plan["name"]
-        rows.append((name, f"{plan['triangles']:,}", f"{plan['nearest']:,.1f}"))
-    if rows:
-        draw_table(layout, PLAN_TITLES, rows)
-        count = sum(plan["outcome"] != "stays" for plan in plans)
-        layout.label(text=f"{count:,} of {format_count(len(plans), 'object')} would get levels")
-    if len(plans) > MAX_ROWS:
-        layout.label(text=f"and {len(plans) - MAX_ROWS:,} more")
+def draw_plans(layout: bpy.types.UILayout, group: bpy.types.PropertyGroup) -> None:
+    """Draw the list of an analysis, and the choices for its active row."""
+    if not group.plans:
+        return
+    layout.template_list(FARFIELD_UL_distance_plans.bl_idname, "", group, "plans", group, "active_plan", rows=4, maxrows=MAX_ROWS)
+    if group.active_plan < len(group.plans):
+        plan = group.plans[group.active_plan]
+        column = settings_column(layout)
+        row = column.row()
+        row.enabled = False
+        row.prop(plan, "nearest")
+        if plan.image_megabytes:
+            column.label(text=f"{OUTCOMES[plan.outcome]}, {plan.image_megabytes:,.3g} MB of images")
+        else:
+            column.label(text=f"{OUTCOMES[plan.outcome]}, no images")
+        column.prop(plan, "method")
+        if plan.method != "original":
+            column.prop(plan, "error_factor")
 
 
-def draw_chain(layout: bpy.types.UILayout, chain: Chain, scene: bpy.types.Scene) -> None:
+def draw_figures(layout: bpy.types.UILayout, figures: str) -> None:
+    """Draw what the latest measurement has found."""
+    if not figures:
+        return
+    values = parse_json(figures)
+    before, after = values[ORIGINALS], values[LEVELS]
+    rows = [("Seconds", f"{before['seconds']:,.1f}", f"{after['seconds']:,.1f}")]
+    if before["memory"]:
+        rows.append(("Memory", format_bytes(before["memory"]), format_bytes(after["memory"])))
+    draw_table(layout, FIGURE_TITLES, [*rows, ("FLIP", "0", f"{values['flip']:.3f}")])
+
+
+def shorten_number(count: int) -> str:
+    """Return a number with three significant digits, such as "45.2 M"."""
+    for unit, size in (("B", 1e9), ("M", 1e6), ("k", 1e3)):
+        if count >= size:
+            return f"{count / size:.3g} {unit}" if count < 999.5 * size else f"{count / size:,.0f} {unit}"
+    return f"{count:,}"
+
+
+def draw_chain(layout: bpy.types.UILayout, chain: Chain, scene: bpy.types.Scene, max_error: float) -> None:
     """Draw the triangles of each level, and the distance from the active camera from which it shows at scale 1."""
     camera = cameras.read_scene_camera(scene)
     rows = []
     for number, (count, size) in enumerate(zip(chain.triangles, chain.pixel_sizes, strict=True)):
-        distance = "" if camera is None else f"{camera.switch_distance(size):.3g}"
+        distance = "" if camera is None else f"{camera.switch_distance(size / max_error):,.4g}"
         rows.append((f"L{number}", f"{count:,}", distance))
     draw_table(layout, LEVEL_TITLES, rows)
 
 
-CLASSES = (FARFIELD_PT_distance, FARFIELD_PT_distance_levels)
+CLASSES = (
+    FARFIELD_UL_distance_plans,
+    FARFIELD_PT_distance,
+    *sub_panels(DistanceSettingsPanel, "FARFIELD_PT_distance"),
+    FARFIELD_PT_distance_levels,
+)
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -13,6 +13,8 @@ class FARFIELD_PT_packages(SettingsPanel, ToolPanel, bpy.types.Panel):
 
     bl_idname = "FARFIELD_PT_packages"
     bl_label = "Packages"
+    bl_description = "For web pages: files of a model that loads progressively"
+    bl_options = {"DEFAULT_CLOSED"}
     page = "packages"
     settings, property_name = describe(PackageSettings), "farfield_packages"
 

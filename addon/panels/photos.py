@@ -40,6 +40,7 @@ class FARFIELD_PT_photos(PhotosSettingsPanel, ToolPanel, bpy.types.Panel):
 
     bl_idname = PANEL
     bl_label = "Photo Texture"
+    bl_description = "For scanned meshes: one texture from photographs with known cameras"
     page = "photos"
     bl_options = {"DEFAULT_CLOSED"}
 
@@ -74,7 +75,7 @@ class FARFIELD_PT_photos_registration(ToolPanel, bpy.types.Panel):
     bl_label = "Register Photograph"
     bl_space_type = "IMAGE_EDITOR"
     bl_options = {"DEFAULT_CLOSED"}
-    page = "photos"
+    page, has_presets = "photos", False
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the steps in the order of work."""

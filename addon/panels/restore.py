@@ -46,6 +46,7 @@ class FARFIELD_PT_restore(RestoreSettingsPanel, ToolPanel, bpy.types.Panel):
 
     bl_idname = PANEL
     bl_label = "Restore Image"
+    bl_description = "Fill the missing or unwanted parts of an image from the rest of it"
     page = "restore"
 
     def draw(self, context: bpy.types.Context) -> None:

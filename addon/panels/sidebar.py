@@ -9,6 +9,7 @@ import bpy
 from ..bridge.terrain_roots import TerrainRoot
 from ..core.settings import Description, is_used
 from ..operators import documentation, follow_handlers, following, job_run, long_work, view_following
+from .presets import menu_name
 
 MESSAGE_WIDTH = 36  # characters per line at the default width of the sidebar
 
@@ -22,16 +23,20 @@ class SidebarPanel:
 
 
 class ToolPanel(SidebarPanel):
-    """Mixin of the top-level panel of a tool: a button in its header opens the page of the tool in the documentation.
+    """Mixin of the top-level panel of a tool: buttons in its header open the presets and the page of the tool in the documentation.
 
-    page: name of the page, the identifier of the tool.
+    page: name of the page, the identifier of the tool. has_presets: whether the panel shows settings of which there are presets.
     """
 
-    page = ""
+    page, has_presets = "", True
 
     def draw_header_preset(self, _context: bpy.types.Context) -> None:
-        """Draw the help button."""
-        self.layout.operator("wm.url_open", text="", icon="HELP", emboss=False).url = documentation.find_page(self.page)
+        """Draw the buttons."""
+        row = self.layout.row(align=True)
+        row.emboss = "NONE"
+        if self.has_presets:
+            row.popover(menu_name(self.page), text="", icon="PRESET")
+        row.operator("wm.url_open", text="", icon="HELP").url = documentation.find_page(self.page)
 
 
 class TerrainPanel(ToolPanel):
@@ -135,10 +140,10 @@ def settings_column(layout: bpy.types.UILayout) -> bpy.types.UILayout:
     return column
 
 
-def draw_message(layout: bpy.types.UILayout, message: str, icon: str) -> None:
-    """Draw a message with its icon, in as many lines as a sidebar of the default width needs."""
+def draw_message(layout: bpy.types.UILayout, message: str, icon: str, width: int = MESSAGE_WIDTH) -> None:
+    """Draw a message with its icon, in as many lines as a sidebar of the default width needs, or lines of `width` characters."""
     column = layout.column(align=True)
-    for index, line in enumerate(textwrap.wrap(message, MESSAGE_WIDTH)):
+    for index, line in enumerate(textwrap.wrap(message, width)):
         column.label(text=line, icon="BLANK1" if index else icon)
 
 

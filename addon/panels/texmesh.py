@@ -3,11 +3,12 @@
 import bpy
 
 from ..bridge import cameras
-from ..bridge.texmesh.level_sets import ERROR, SWITCH_DISTANCE, TRIANGLES, LevelSet, find_level_set
+from ..bridge.texmesh.level_sets import ERROR, SWITCH_DISTANCE, TRIANGLES, LevelSet, find_level_set, level_sets_in
+from ..bridge.units import format_length
 from ..core.errors import SettingsError
 from ..core.settings import describe
 from ..core.texmesh.perception.recorded_answers import estimate_recorded
-from ..core.texmesh.settings import PRESETS, RESEARCH_GROUP, InspectionSettings, LevelSettings, ResearchSettings, SceneSettings
+from ..core.texmesh.settings import InspectionSettings, LevelSettings, ResearchSettings, SceneSettings
 from ..operators.texmesh import preview
 from ..operators.texmesh.answer_files import FARFIELD_OT_texmesh_add_answers, FARFIELD_OT_texmesh_save_answers
 from ..operators.texmesh.calibration import (
@@ -21,7 +22,6 @@ from ..operators.texmesh.operators import (
     FARFIELD_OT_texmesh_analyze,
     FARFIELD_OT_texmesh_crossfade,
     FARFIELD_OT_texmesh_levels,
-    FARFIELD_OT_texmesh_preset,
     FARFIELD_OT_texmesh_remove,
     FARFIELD_OT_texmesh_show,
     FARFIELD_OT_texmesh_show_for_camera,
@@ -30,21 +30,13 @@ from ..operators.texmesh.operators import (
 from ..operators.texmesh.overlays import FARFIELD_OT_texmesh_overlay, FARFIELD_OT_texmesh_plot, overlay
 from .sidebar import SettingsPanel, SidebarPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, draw_table, sub_panels
 
-LEVEL_TITLES = ("Level", "Triangles", "Distance", "Pixels")
+LEVEL_TITLES = ("Level", "Triangles", "From", "Pixels")
 
 
 class TexmeshSettingsPanel(SettingsPanel):
-    """Mixin of the panels that show settings of perceptual levels. Research controls have presets."""
+    """Mixin of the panels that show settings of perceptual levels."""
 
     settings, property_name = describe(LevelSettings, SceneSettings, ResearchSettings), "farfield_texmesh"
-
-    def draw_settings(self, context: bpy.types.Context) -> None:
-        """Draw the settings of the group that count, below the presets of research controls."""
-        if self.group_name == RESEARCH_GROUP:
-            row = self.layout.row(align=True)
-            for name, (choice, _) in PRESETS.items():
-                row.operator(FARFIELD_OT_texmesh_preset.bl_idname, text=choice.label).preset = name
-        super().draw_settings(context)
 
 
 class FARFIELD_PT_texmesh(TexmeshSettingsPanel, ToolPanel, bpy.types.Panel):
@@ -52,6 +44,8 @@ class FARFIELD_PT_texmesh(TexmeshSettingsPanel, ToolPanel, bpy.types.Panel):
 
     bl_idname = "FARFIELD_PT_texmesh"
     bl_label = "Perceptual Levels"
+    bl_description = "Meshes with fewer triangles for near and middle distances. Farther away, a Billboard Cloud"
+    bl_options = {"DEFAULT_CLOSED"}
     page = "texmesh"
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -63,7 +57,6 @@ class FARFIELD_PT_texmesh(TexmeshSettingsPanel, ToolPanel, bpy.types.Panel):
         reason = disabled_reason(context)
         if reason:
             draw_message(layout, reason, "INFO")
-        layout.operator(FARFIELD_OT_texmesh_analyze.bl_idname, text="Analyze", icon="VIEWZOOM")
         draw_button(layout, FARFIELD_OT_texmesh_levels, "Make Levels", "MOD_DECIM")
 
 
@@ -83,7 +76,7 @@ class FARFIELD_PT_texmesh_levels(SidebarPanel, bpy.types.Panel):
         """Draw one row per level and the buttons."""
         levels = find_level_set(context.scene, context.active_object)
         self.layout.label(text=levels.collection.name, icon="OUTLINER_COLLECTION")
-        draw_levels(self.layout, levels)
+        draw_levels(self.layout, levels, context.scene)
         row = self.layout.row(align=True)
         for number in range(len(levels.levels)):
             row.operator(FARFIELD_OT_texmesh_show.bl_idname, text=f"L{number}").level = number
@@ -91,7 +84,12 @@ class FARFIELD_PT_texmesh_levels(SidebarPanel, bpy.types.Panel):
         is_followed = preview.current.follows(levels)
         buttons.operator(preview.FARFIELD_OT_texmesh_preview.bl_idname, text="Preview", icon="VIEW_PERSPECTIVE", depress=is_followed)
         buttons.operator(FARFIELD_OT_texmesh_show.bl_idname, text="Show Original", icon="MESH_DATA").level = -1
-        buttons.operator(FARFIELD_OT_texmesh_crossfade.bl_idname, text="Cross-Fade", icon="MOD_OPACITY", depress=levels.has_crossfade)
+        fades, identifier = levels.has_crossfade, FARFIELD_OT_texmesh_crossfade.bl_idname
+        all_fade = all(each.has_crossfade for each in level_sets_in(context.scene))
+        row = buttons.row(align=True)
+        row.operator(identifier, text="Cross-Fade", icon="MOD_OPACITY", depress=fades).enable = not fades
+        every = row.operator(identifier, text="All Objects", depress=all_fade)
+        every.enable, every.all_objects = not all_fade, True
         for_camera = buttons.row(align=True)
         for_camera.enabled = cameras.read_scene_camera(context.scene) is not None
         for_camera.operator(FARFIELD_OT_texmesh_show_for_camera.bl_idname, text="Show for Camera", icon="CAMERA_DATA")
@@ -99,7 +97,7 @@ class FARFIELD_PT_texmesh_levels(SidebarPanel, bpy.types.Panel):
         buttons.operator(FARFIELD_OT_texmesh_remove.bl_idname, text="Remove Levels", icon="X")
 
 
-def draw_levels(layout: bpy.types.UILayout, levels: LevelSet) -> None:
+def draw_levels(layout: bpy.types.UILayout, levels: LevelSet, scene: bpy.types.Scene) -> None:
     """Draw a table with the triangles, the distance and the size on screen from which each level shows."""
     side = max(levels.levels[0].dimensions) or 1.0
     rows = []
@@ -107,13 +105,8 @@ def draw_levels(layout: bpy.types.UILayout, levels: LevelSet) -> None:
         error = float(level[ERROR])
         distance, pixels = float(level.get(SWITCH_DISTANCE, 0.0)) if error else 0.0, side / error if error else 0.0
         count = int(level.get(TRIANGLES, len(level.data.polygons)))
-        rows.append((f"L{number}", f"{count:,}", format_distance(distance), f"{pixels:.0f}" if error else "all"))
+        rows.append((f"L{number}", f"{count:,}", format_length(scene, distance), f"{pixels:.0f}" if error else "all"))
     draw_table(layout, LEVEL_TITLES, rows)
-
-
-def format_distance(distance: float) -> str:
-    """Return a distance with at least three significant digits, without an exponent if it is large."""
-    return f"{distance:,.0f}" if distance >= 1000.0 else f"{distance:.3g}"
 
 
 class FARFIELD_PT_texmesh_inspect(SettingsPanel, bpy.types.Panel):
@@ -129,6 +122,7 @@ class FARFIELD_PT_texmesh_inspect(SettingsPanel, bpy.types.Panel):
         """Draw the settings and the buttons."""
         self.draw_settings(context)
         buttons = self.layout.column(align=True)
+        buttons.operator(FARFIELD_OT_texmesh_analyze.bl_idname, text="Analyze", icon="VIEWZOOM")
         buttons.operator(FARFIELD_OT_texmesh_overlay.bl_idname, text="Features by Scale", icon="OVERLAY", depress=overlay.is_shown)
         buttons.operator(FARFIELD_OT_texmesh_plot.bl_idname, text="Plot", icon="IMAGE_DATA")
         flickers = preview.current.flickers

@@ -1,12 +1,13 @@
 """Panels *View-Dependent Unwrap* in the sidebar tab *Farfield* of the 3D Viewport and the UV Editor, and entries of the menus *UV*."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import ClassVar
 
 import bpy
 
 from ..bridge.unwrap import uv_maps
 from ..bridge.unwrap.stretch_display import overlay
+from ..core.messages import format_number
 from ..core.settings import Description, describe
 from ..core.unwrap.settings import UnwrapSettings
 from ..operators.unwrap.operators import (
@@ -20,26 +21,32 @@ from ..operators.unwrap.operators import (
 )
 from .sidebar import SettingsPanel, SidebarPanel, ToolPanel, draw_button, draw_progress_bar, sub_panels
 
+
+def format_density(density: float) -> str:
+    """Return a texel density with its unit."""
+    return f"{format_number(density)} px/m"
+
+
 SUMMARY = (
-    ("UV Islands", "islands", "{:,.0f}"),
-    ("Stacked Islands", "stacked", "{:,.0f}"),
-    ("UDIM Tiles", "tiles", "{:.0f}"),
-    ("Pack Fill", "fill", "{:.0%}"),
-    ("Texel Density", "texel_density", "{:.4g} px/m"),
-    ("Flips", "flips", "{:.0f}"),
-    ("Overlaps", "overlaps", "{:.0f}"),
+    ("UV Islands", "islands", "{:,.0f}".format),
+    ("Stacked Islands", "stacked", "{:,.0f}".format),
+    ("UDIM Tiles", "tiles", "{:.0f}".format),
+    ("Pack Fill", "fill", "{:.0%}".format),
+    ("Texel Density", "texel_density", format_density),
+    ("Flips", "flips", "{:.0f}".format),
+    ("Overlaps", "overlaps", "{:.0f}".format),
 )
 METRICS = (
-    ("Stretch L2", "l2", "{:.3f}"),
-    ("95th Percentile", "p95", "{:.2f}"),
-    ("Max Compression", "linf", "{:.2f}"),
-    ("Max Expansion", "max_expansion", "{:.2f}"),
-    ("Symmetric Dirichlet", "symmetric_dirichlet", "{:.2f}"),
-    ("Anisotropy, 99th Percentile", "anisotropy_p99", "{:.2f}"),
-    ("Anisotropic Area", "anisotropic_fraction", "{:.1%}"),
-    ("Needles", "needles", "{:.1%}"),
-    ("Min Quality", "min_quality", "{:.3f}"),
-    ("Density Ratio", "density_ratio", "{:.2f}"),
+    ("Stretch L2", "l2", "{:.3f}".format),
+    ("95th Percentile", "p95", "{:.2f}".format),
+    ("Max Compression", "linf", "{:.2f}".format),
+    ("Max Expansion", "max_expansion", "{:.2f}".format),
+    ("Symmetric Dirichlet", "symmetric_dirichlet", "{:.2f}".format),
+    ("Anisotropy, 99th Percentile", "anisotropy_p99", "{:.2f}".format),
+    ("Anisotropic Area", "anisotropic_fraction", "{:.1%}".format),
+    ("Needles", "needles", "{:.1%}".format),
+    ("Min Quality", "min_quality", "{:.3f}".format),
+    ("Density Ratio", "density_ratio", "{:.2f}".format),
 )
 ONLY_IF_SET = {"stacked", "tiles", "density_ratio"}  # Metrics that are not drawn where they are 0 or 1.
 PANEL, EDITOR_PANEL = "FARFIELD_PT_unwrap", "FARFIELD_PT_unwrap_uv_editor"
@@ -71,6 +78,7 @@ class UnwrapPanel(UnwrapSettingsPanel, ToolPanel):
     """Mixin of the panels in the 3D Viewport and the UV Editor: settings, the Unwrap button, and a summary of the active object's map."""
 
     bl_label = "View-Dependent Unwrap"
+    bl_description = "UV maps with little stretch, evenly or with more texels where they are seen"
     page = "unwrap"
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -145,24 +153,24 @@ class FARFIELD_PT_unwrap_uv_editor_metrics(MetricsPanel, bpy.types.Panel):
 
 def draw_metrics(
     layout: bpy.types.UILayout,
-    rows: Sequence[tuple[str, str, str]],
+    rows: Sequence[tuple[str, str, Callable[[float], str]]],
     metrics: dict[str, float],
     texel_densities: dict[str, float] | None = None,
 ) -> None:
     """Draw metrics of a UV map, some only where there is something to tell, and the texel density of each where there are several.
 
-    rows: label, name and format of each metric.
+    rows: label and name of each metric, and the function that makes text of it.
     """
     columns = layout.box().row()
     labels, values = columns.column(align=True), columns.column(align=True)
     values.alignment = "RIGHT"
-    for label, key, number_format in rows:
+    for label, key, to_text in rows:
         if metrics.get(key, 0.0) not in (0.0, 1.0) or key not in ONLY_IF_SET:
             labels.label(text=label)
-            values.label(text=number_format.format(metrics.get(key, 0.0)))
+            values.label(text=to_text(metrics.get(key, 0.0)))
     for name, density in (texel_densities or {}).items() if len(texel_densities or {}) > 1 else ():
         labels.label(text=name, icon="GROUP_UVS")
-        values.label(text=f"{density:.4g} px/m")
+        values.label(text=format_density(density))
 
 
 CLASSES = (

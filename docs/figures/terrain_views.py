@@ -109,14 +109,28 @@ def copses(path: Path, width: int, samples: int) -> None:
         _render_view(path, width, samples, settings, np.array([0.0, 0.0, 80.0]), np.array([300.0, 160.0, 0.0]))
 
 
-def _render_view(path: Path, width: int, samples: int, settings: ClipboxSettings, position: np.ndarray, target: np.ndarray) -> None:
-    """Render terrain from `position` (3,) towards `target` (3,)."""
+def square_view(path: Path, pixels: int, samples: int, settings: ClipboxSettings, position: np.ndarray, target: np.ndarray) -> None:
+    """Render a square view of terrain from `position` (3,) towards `target` (3,)."""
+    _render_view(path, pixels, samples, settings, position, target, height=pixels)
+
+
+def _render_view(
+    path: Path,
+    width: int,
+    samples: int,
+    settings: ClipboxSettings,
+    position: np.ndarray,
+    target: np.ndarray,
+    height: int | None = None,
+) -> None:
+    """Render terrain from `position` (3,) towards `target` (3,), in the format 16:9 unless a height in pixels is given."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     run_to_end(run_job(prepare(settings, position)))
     camera, point_light = _set_up_scene(width, samples)
     point_light.data.energy = 0.0
     camera.matrix_world = look_at_matrix((position - target) / np.linalg.norm(position - target), position)
     bpy.context.scene.render.filepath = str(path)
+    bpy.context.scene.render.resolution_y = height or bpy.context.scene.render.resolution_y
     bpy.ops.render.render(write_still=True)
 
 

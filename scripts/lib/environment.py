@@ -76,6 +76,7 @@ def ensure(extra_modules: tuple[str, ...] = (), *, exits_on_signals: bool = Fals
         if exits_on_signals and "bpy" not in sys.modules:
             _exit_on_signals()
             _set_temporary_folder()
+        find_blender_modules()
         return
     folder = environments_folder() / lock.name
     try:
@@ -129,6 +130,15 @@ def import_farfield() -> ModuleType:
     sys.modules["farfield"] = package
     spec.loader.exec_module(package)
     return package
+
+
+def find_blender_modules() -> None:
+    """Let Python find the modules that pip's bpy brings along, such as OpenImageIO. They come last: installed packages replace them."""
+    spec = importlib.util.find_spec("bpy")
+    if spec is not None and spec.origin and not _is_in_blender():
+        package = Path(spec.origin).parent
+        folders = map(str, [*package.glob("*/python/lib/python3.*/site-packages"), *package.glob("*/python/lib/site-packages")])
+        sys.path += [folder for folder in folders if folder not in sys.path]
 
 
 def environments_folder() -> Path:

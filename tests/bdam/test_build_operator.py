@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from farfield.addon.bridge.bdam.objects import SceneTerrain
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
@@ -78,3 +79,24 @@ def test_invalid_input_is_named(tmp_path, monkeypatch, arguments, message):
     with pytest.raises(RuntimeError, match=message):
         bpy.ops.farfield.bdam_build(**arguments, **SETTINGS)
     assert [path.name for path in tmp_path.iterdir()] == ["a.npy"]
+
+
+def test_build_loads_the_terrain_and_names_holes(tmp_path, capfd):
+    heights = np.random.default_rng(1).uniform(0.0, 30.0, (33, 33)).astype(np.float32)
+    heights[4:8, 4:8] = np.nan
+    np.save(tmp_path / "a.npy", heights)
+    arguments = {"sources": [{"name": str(tmp_path / "a.npy")}], "store": str(tmp_path / "store"), **SETTINGS}
+    assert bpy.ops.farfield.bdam_build(**arguments, load=True) == {"FINISHED"}
+    (terrain,) = SceneTerrain.in_scene(bpy.context.scene)
+    assert terrain.folder == tmp_path / "store" and terrain.figures.triangles > 100 and terrain.tiles()
+    assert "1.5% of the heights are unknown: they are holes, unless Fill Holes is on." in capfd.readouterr().out
+    bpy.ops.farfield.bdam_remove()
+    bpy.ops.farfield.bdam_build(**arguments, fill_holes=True)
+    assert "1.5% of the heights are unknown and were filled." in capfd.readouterr().out
+
+
+def test_a_new_folder_is_proposed_for_the_terrain(tmp_path):
+    write_heights(tmp_path / "été.npy")
+    (tmp_path / "été terrain").mkdir()
+    bpy.ops.farfield.bdam_add_files(kind="SOURCES", directory=str(tmp_path), files=[{"name": "été.npy"}])
+    assert bpy.context.scene.farfield_bdam_build.store == str(tmp_path / "été terrain 2")

@@ -18,12 +18,10 @@ from farfield.addon.core.bdam.settings import BdamSettings
 from farfield.addon.core.bdam.store import structure
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
 from farfield.addon.core.errors import FarfieldError, FileError, SettingsError
-from farfield.addon.core.jobs import executors
 from farfield.addon.core.jobs.progress import run_to_end
 from tiff_writer import POINT_KEYS, map_tags, write_tiff
 
 SIZE = 65
-DASK = BdamSettings(executor="dask:tcp://127.0.0.1:9")
 Usage = namedtuple("Usage", "total used free")
 
 
@@ -238,14 +236,6 @@ def test_an_image_that_cannot_be_read_leaves_nothing(tmp_path):
     with pytest.raises(FileError, match="damaged or truncated"):
         run_to_end(steps_of([source], tmp_path / "store", [image]))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["ground.png", "heights.npy"]
-
-
-def test_a_scheduler_that_does_not_answer_leaves_nothing(tmp_path, monkeypatch):
-    pytest.importorskip("distributed")
-    monkeypatch.setattr(executors, "CONNECT_SECONDS", 0.1)
-    with pytest.raises(FarfieldError, match="No Dask scheduler answers"):
-        run_to_end(build_terrain(open_field([write_source(tmp_path)], FieldSettings(10.0)), [], tmp_path / "store", DASK))
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["heights.npy"]
 
 
 def test_filled_holes_have_all_triangles_and_known_heights_stay(tmp_path):

@@ -7,6 +7,7 @@ from farfield.addon.core.bdam.building.terrain_build import build_terrain
 from farfield.addon.core.bdam.fields.terrain_field import FieldSettings, open_field
 from farfield.addon.core.bdam.settings import BdamSettings
 from farfield.addon.core.jobs.progress import run_to_end
+from lib.executors import open_executor
 from small_terrain_stores import colors, hills
 from tiff_writer import write_tiff
 
@@ -24,10 +25,11 @@ def test_dask_builds_the_same_bytes_with_textures(scheduler, tmp_path):
     np.save(source, heights.astype(np.float32))
     image = write_tiff(tmp_path / "ground.tif", colors(700), tile=(64, 64))
     folders = []
-    for executor in ("serial", f"dask:{scheduler.address}"):
+    for word in ("serial", f"dask:{scheduler.address}"):
         folders.append(tmp_path / f"store {len(folders)}")
         field = open_field([source], FieldSettings(cell_size=10.0))
-        run_to_end(build_terrain(field, [source], folders[-1], BdamSettings(patch_size="16", executor=executor), [image]))
+        with open_executor(word) as executor:
+            run_to_end(build_terrain(field, [source], folders[-1], BdamSettings(patch_size="16"), [image], executor))
     serial, dask = ({path.relative_to(folder): path.read_bytes() for path in folder.rglob("*.*")} for folder in folders)
     assert len(serial) == 8 and dask == serial
     assert sorted(path.name for path in tmp_path.glob("store*")) == ["store 0", "store 1"], "nothing is left over"

@@ -160,6 +160,7 @@ def test_a_store_can_be_moved(folder, tmp_path):
         (("build", "hills.npy", "--out", "new", "--patch-size", "16", "--height-step", "-1"), SettingsError, "--height-step"),
         (("build", "hills.npy", "--out", "new", "--texture", "hills.npy"), FileError, "texture"),
         (("build", "hills.npy", "--out", "new", "--executor", "many"), SettingsError, "Executor must be"),
+        (("build", "hills.npy", "--out", "new", "--executor", "dask:many"), SettingsError, "Executor must be dask:tcp"),
         (("info", "new"), FileError, "no terrain"),
         (("extract", "new", *VIEW, "--out", "cut.ply"), FileError, "no terrain"),
         (("extract", "store", *VIEW, "--out", "cut.stl"), FileError, r"\.blend, \.ply, \.obj"),

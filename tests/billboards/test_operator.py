@@ -226,6 +226,25 @@ class TestVisibility:
         assert is_hidden(source) and not any(is_hidden(level) for level in levels().values())
         assert clouds_in(bpy.context.scene)[0].has_crossfade
 
+    def test_cross_fade_is_switched_per_object_and_for_all(self):
+        items = [cube("One"), cube("Two", location=(5.0, 0.0, 0.0))]
+        select(*items)
+        build()
+        bpy.ops.object.camera_add(location=(0.0, -4000.0, 0.0))
+        bpy.context.scene.camera = bpy.context.object
+        one, two = clouds_in(bpy.context.scene)
+        select(one.levels[0])
+        bpy.ops.farfield.billboards_crossfade(selected=True)
+        assert one.has_crossfade and not two.has_crossfade
+        bpy.ops.farfield.billboards_crossfade()
+        assert one.has_crossfade and two.has_crossfade
+        select(two.levels[0])
+        bpy.ops.farfield.billboards_crossfade(selected=True, enable=False)
+        assert one.has_crossfade and not two.has_crossfade
+        assert [is_hidden(level) for level in two.levels] == [True] * (len(two.levels) - 1) + [False], "the camera is far away"
+        bpy.ops.farfield.billboards_crossfade(enable=False)
+        assert not one.has_crossfade
+
     def test_undo_restores_visibility_in_one_step(self):
         cube()
         bpy.context.preferences.edit.use_global_undo = True
@@ -421,8 +440,9 @@ class TestPanel:
         build(nested_levels=False)
         texts, _ = self.draw()
         assert {"12", "6", "Tris", "in Mesh", "Quads"} <= texts
-        shown = " ".join(text for text in texts if text)
-        assert "with an error of 10% is" in shown and 'The cloud of "Cube" has 12' in shown
+        (cloud,) = clouds_in(bpy.context.scene)
+        assert f"Details ({len(cloud.notes)} notes)" in texts
+        assert "with an error of 10% is" in " ".join(cloud.notes) and 'The cloud of "Cube" has 12' in " ".join(cloud.notes)
 
     def test_triangles_of_decimated_meshes_are_shown(self):
         bpy.ops.mesh.primitive_uv_sphere_add(segments=24, ring_count=12)
@@ -436,13 +456,13 @@ class TestPanel:
 
     def test_buttons_follow_the_state(self):
         texts, _ = self.draw()
-        assert "Select an object with a surface" in texts and "Cross-Fade Levels" not in texts
+        assert "Select an object with a surface" in texts and "Cross-Fade" not in texts
         cube()
         texts, _ = self.draw()
         assert {"Build", "Estimate"} <= texts and "Show Original" not in texts
         build()
         texts, _ = self.draw()
-        assert {"Show Original", "Cross-Fade Levels", "Distance", "The scene has no active camera"} <= texts
+        assert {"Show Original", "Cross-Fade", "All Clouds", "From", "The scene has no active camera"} <= texts
         bpy.ops.farfield.billboards_show()
         texts, _ = self.draw()
         assert "Show Cloud" in texts and "Show Original" not in texts

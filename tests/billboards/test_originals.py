@@ -65,6 +65,18 @@ class TestRenamed:
         (cloud,) = clouds_in(bpy.context.scene)
         assert [source.name for source in cloud.sources] == cloud.source_names == ["Tree"]
 
+    def test_it_is_found_after_it_was_renamed_and_moved_in_several_sessions(self, scene, tmp_path):
+        tree, _ = scene
+        tree.location.x = 7.0
+        reopen(tmp_path / "scene.blend")
+        tree = bpy.data.objects["Tree"]
+        tree.name, tree.location.y = "Baum", 5.0
+        assert clouds_in(bpy.context.scene)[0].sources == [tree]
+        reopen(tmp_path / "scene.blend")
+        tree = bpy.data.objects["Baum"]
+        tree.location.z, tree.name = 3.0, "Arbre"
+        assert clouds_in(bpy.context.scene)[0].sources == [tree]
+
     def test_it_is_found_where_it_was_moved_to_in_the_same_session(self, scene):
         tree, _ = scene
         tree.location.x = 7.0

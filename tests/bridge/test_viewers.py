@@ -207,3 +207,13 @@ class TestViewport:
 def test_an_orthographic_camera_of_scale_0_has_a_finite_resolution(scene):
     scene.camera.data.type, scene.camera.data.ortho_scale = "ORTHO", 0.0
     assert np.isfinite(viewers.camera_projection(scene, scene.camera).pixel_densities).all()
+
+
+def test_a_camera_that_does_not_reach_the_end_of_a_terrain_is_named(empty_scene):
+    assert viewers.describe_camera_range(empty_scene, 5000.0) == ""
+    bpy.ops.object.camera_add()
+    empty_scene.camera = bpy.context.object
+    empty_scene.camera.data.clip_end = 100.0
+    assert viewers.describe_camera_range(empty_scene, 5000.0) == 'The camera "Camera" shows nothing beyond 100 m; raise Clip End to 5 km.'
+    empty_scene.camera.data.clip_end = 5000.0
+    assert viewers.describe_camera_range(empty_scene, 5000.0) == ""

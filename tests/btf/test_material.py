@@ -100,9 +100,13 @@ def uniform_lobes(roughness: float, diffuse: float = 0.3, f0: float = 0.2, f90_m
 
 
 def render(
-    card: bpy.types.Object, direction: np.ndarray, samples: int, others: list[bpy.types.Object] | None = None
+    card: bpy.types.Object,
+    direction: np.ndarray,
+    samples: int,
+    others: list[bpy.types.Object] | None = None,
+    options: dict[str, int] | None = None,
 ) -> tuple[np.ndarray, OrthographicView]:
-    """Render `card` and `others` with Cycles from `direction`; return the image (H, W, 4) and its view."""
+    """Render `card` and `others` with Cycles from `direction`; return the image (H, W, 4) and its view. options: of the render settings."""
     view = OrthographicView(direction, np.zeros(3), PIXELS, 3.0 / PIXELS)
     with render_scene("Card") as work:
         for item in [card, *(others or [])]:
@@ -112,6 +116,8 @@ def render(
         cycles.samples, cycles.use_denoising, cycles.use_adaptive_sampling = samples, False, False
         cycles.pixel_filter_type, cycles.filter_width = "BLACKMAN_HARRIS", 0.01
         work.scene.render.resolution_x = work.scene.render.resolution_y = PIXELS
+        for name, value in (options or {}).items():
+            setattr(work.scene.render, name, value)
         work.camera.data.type, work.camera.data.ortho_scale = "ORTHO", PIXELS * view.pixel_size
         work.camera.matrix_world = mathutils.Matrix(
             np.vstack([np.column_stack([view.right, view.up, direction, 4.0 * direction]), [0.0, 0.0, 0.0, 1.0]]).tolist()
@@ -143,6 +149,18 @@ def test_clustered_texels_match_the_arrays(clusters, components, between):
     rendered = sample_texels(image, render_view, card)
     np.testing.assert_allclose(rendered[..., :3], expected, rtol=0.01, atol=0.002)
     assert (rendered[..., 3] == 1.0).all()
+
+
+@pytest.mark.skipif("use_texture_cache" not in bpy.types.RenderSettings.bl_rna.properties, reason="Blender has it from 5.2 on")
+def test_the_texture_cache_of_cycles_does_not_filter_packed_tables(tmp_path, monkeypatch):
+    """A pixel shows several texels, for which the cache would read a coarser level of each table."""
+    monkeypatch.setattr(bpy.context.preferences.filepaths, "texture_cache_directory", str(tmp_path))
+    card = create_relightable_card(3, 5)
+    set_sun(card, SUN)
+    sets = [{"use_texture_cache": value, "use_auto_generate_texture_cache": value, "resolution_percentage": 2} for value in (False, True)]
+    plain, cached = (render(card, BETWEEN, 4, options=options)[0] for options in sets)
+    assert plain[..., :3].max() > 0.05 and np.array_equal(plain, cached)
+    assert not list(tmp_path.iterdir())
 
 
 def test_clustered_texels_match_the_arrays_under_uniform_lighting():

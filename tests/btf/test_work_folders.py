@@ -19,11 +19,11 @@ from bridge.bakes import SMALL, build_small_cloud, copy_finished_views, finished
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
 from farfield.addon.bridge.btf.capture.snapshot import METADATA_FILE, may_run_python_drivers, open_snapshot
 from farfield.addon.core.btf.settings import BtfSettings
-from farfield.addon.core.errors import FarfieldError, FileError
+from farfield.addon.core.errors import FileError
 from farfield.addon.core.files import user_folders
-from farfield.addon.core.jobs import executors
 from farfield.addon.core.jobs.dispatch import Shard
 from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.operators import user_cache
 from farfield.addon.operators.btf import estimates
 from farfield.addon.operators.btf import job as job_module
 
@@ -33,7 +33,7 @@ posix_only = pytest.mark.skipif(os.name == "nt", reason="Windows has access cont
 @pytest.fixture(autouse=True)
 def fresh_scene(extension, tmp_path, monkeypatch):
     """An empty scene, and a cache folder of its own."""
-    monkeypatch.setattr(estimates, "user_cache_folder", lambda: tmp_path / "cache" / "farfield")
+    monkeypatch.setattr(user_cache, "user_cache_folder", lambda: tmp_path / "cache" / "farfield")
     blender_scenes.reset_scene()
 
 
@@ -64,7 +64,7 @@ def test_the_operator_uses_a_private_folder_of_the_user(monkeypatch):
     views = finished_views_of_small_cloud()
     cloud = build_small_cloud()
     folder = estimates.capture_folder(cloud, BtfSettings(**SMALL, executor="serial"))
-    assert folder == estimates.user_cache_folder() / "btf" / folder.name
+    assert folder == user_cache.user_cache_folder() / "btf" / folder.name
     prepared = []
     original = os.mkdir
 
@@ -120,14 +120,6 @@ def test_the_name_of_a_cloud_does_not_choose_a_folder(cloud, tmp_path, name):
     (job,) = btf.prepare_jobs(BtfSettings(**SMALL), work, [])
     assert job.folder.parent == work
     assert [path.name for path in tmp_path.iterdir()] == ["jail"] and [path.name for path in work.parent.iterdir()] == ["work"]
-
-
-def test_a_scheduler_that_does_not_answer_leaves_nothing(cloud, tmp_path, monkeypatch):
-    pytest.importorskip("distributed")
-    monkeypatch.setattr(executors, "CONNECT_SECONDS", 0.1)
-    with pytest.raises(FarfieldError, match="No Dask scheduler answers"):
-        btf.prepare_jobs(BtfSettings(**SMALL | {"executor": "dask:tcp://127.0.0.1:9"}), tmp_path / "new" / "work", [])
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_later_run_in_the_same_folder_takes_over(cloud, tmp_path):
@@ -226,7 +218,7 @@ def test_a_user_without_home_gets_a_sentence(cloud, monkeypatch):
     def no_cache():
         raise FileError("There is no home folder.")
 
-    monkeypatch.setattr(estimates, "user_cache_folder", no_cache)
+    monkeypatch.setattr(user_cache, "user_cache_folder", no_cache)
     assert estimates.count_finished_views(cloud, BtfSettings(**SMALL)) == 0
     with pytest.raises(RuntimeError, match="There is no home folder"):
         bake()
@@ -245,8 +237,7 @@ def test_damaged_finished_views_are_captured_again(tmp_path):
     assert path.read_bytes() == undamaged
 
 
-def test_a_scheduler_on_another_machine_needs_online_access(cloud):
-    assert not bpy.app.online_access
-    with pytest.raises(RuntimeError, match="Allow Online Access"):
+def test_the_operator_spreads_over_processes_only(cloud):
+    with pytest.raises(RuntimeError, match="Executor must be serial, processes"):
         bpy.ops.farfield.btf_bake(**SMALL, executor="dask:tcp://farm.example:8786")
-    assert not (estimates.user_cache_folder()).exists(), "refused before anything is written"
+    assert not estimates.capture_folder(cloud, BtfSettings(**SMALL)).exists(), "refused before anything is written"

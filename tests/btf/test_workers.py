@@ -38,7 +38,9 @@ from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.core.errors import FarfieldError, FileError, GeometryError
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.operators.btf.job import prepare_bake
+from farfield.addon.operators.job_run import run_job
 from lib import environment
+from lib.executors import open_executor
 
 SCRIPT = environment.ROOT / "scripts" / "btf.py"
 only_on_linux = pytest.mark.skipif(not Path("/proc").is_dir(), reason="workers can only be identified on Linux")
@@ -89,7 +91,10 @@ def test_several_processes_write_the_same_bytes(cloud, reference_digests, tmp_pa
 @pytest.mark.exhaustive
 def test_dask_writes_the_same_bytes(cloud, reference_digests, scheduler, tmp_path):
     scheduler.start_workers(2)
-    run_to_end(prepare_job(cloud, tmp_path / "work", f"dask:{scheduler.address}")._capture())
+    with open_executor(f"dask:{scheduler.address}") as executor:
+        bake = BtfSettings(**SMALL)
+        job = prepare_bake(bpy.context, cloud, bake, tmp_path / "work", keep_finished_views=True, executor=executor)
+        run_to_end(run_job(job))
     assert digests(tmp_path / "work") == reference_digests
 
 

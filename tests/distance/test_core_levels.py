@@ -11,16 +11,12 @@ def candidates(*numbers: tuple[int, float]) -> list[LevelCandidate]:
 
 def test_levels_are_sorted_by_size_and_each_is_lighter():
     given = candidates((1000, 0.0), (900, 0.1), (500, 0.2), (490, 0.4), (100, 0.3), (20, 0.8))
-    assert choose_levels(given, 1.0) == [(0, 0.0), (2, 0.2), (4, 0.3), (5, 0.8)]
-
-
-def test_an_error_of_two_pixels_shows_levels_at_half_the_size():
-    assert choose_levels(candidates((1000, 0.0), (10, 0.5)), 2.0) == [(0, 0.0), (1, 0.25)]
+    assert choose_levels(given) == [0, 2, 4, 5]
 
 
 def test_a_cloud_that_is_no_lighter_is_left_out():
-    assert choose_levels(candidates((100, 0.0), (76, 0.5)), 1.0) == [(0, 0.0)]
-    assert choose_levels(candidates((100, 0.0), (75, 0.5)), 1.0) == [(0, 0.0), (1, 0.5)]
+    assert choose_levels(candidates((100, 0.0), (76, 0.5))) == [0]
+    assert choose_levels(candidates((100, 0.0), (75, 0.5))) == [0, 1]
 
 
 def test_objects_together_have_the_coarsest_level_that_each_allows():
@@ -30,9 +26,8 @@ def test_objects_together_have_the_coarsest_level_that_each_allows():
     assert [(level.triangles, level.pixel_size) for level, _ in combined] == [(137, 0.0), (87, 0.2), (62, 0.4), (22, 0.9)]
 
 
-@pytest.mark.parametrize("max_error", [0.25, 1.0, 16.0])
-def test_the_original_is_always_the_first_level(max_error):
-    assert choose_levels(candidates((12, 0.0)), max_error) == [(0, 0.0)]
+def test_the_original_is_always_the_first_level():
+    assert choose_levels(candidates((12, 0.0))) == [0]
 
 
 @pytest.mark.parametrize(("triangles", "pixel_size", "expected"), [(500, 1.0, False), (501, 1.0, True), (500, 1.1, True)])

@@ -6,6 +6,8 @@ import pytest
 
 from distance_scenes import DISTANCES, add_box, add_camera, add_scatter, attach_levels, rendered, shown
 from farfield.addon.bridge import lod_crossfade
+from farfield.addon.bridge.distance.level_switch import follow_viewport
+from farfield.addon.core.geometry.cameras import Camera
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 
@@ -120,6 +122,11 @@ def test_renders_have_both_levels_within_the_fade_range(camera, distance, in_ren
     assert len(shown()) == 1
 
 
+def test_an_error_of_two_pixels_shows_levels_at_half_the_distance(camera):
+    attach_levels([add_box("Box", (0.0, 11.0, 0.0))], max_error=2.0)
+    assert shown() == rendered() == [("Box 1", (0, 11, 0))]
+
+
 def test_only_places_within_the_fade_range_have_materials_that_fade(camera):
     attach_levels([add_scatter([(0.0, y, 0.0) for y in (15.0, 22.0, 35.0, 70.0)], [add_box("Box", linked=False)])], fade_range=0.2)
     expected = [("Box 0", 15), ("Box 0 Fading", 22), ("Box 1", 35), ("Box 1 Fading", 22), ("Box 2", 70)]
@@ -149,3 +156,13 @@ def test_a_subdivided_kind_is_recognized_where_renders_subdivide_it_more(camera)
     subdivision.levels, subdivision.render_levels = 1, 3
     attach_levels([add_scatter([(0.0, 60.0, 0.0), (0.0, 61.0, 0.0)], kinds)])
     assert [name for name, _ in shown()] == ["Kind 2", "Other 2"] == [name for name, _ in rendered()]
+
+
+def test_a_viewport_that_is_followed_shows_its_own_levels_and_renders_those_of_the_camera(camera):
+    attach_levels([add_box("Box", (0.0, 60.0, 0.0)), add_box("Behind", (0.0, -30.0, 0.0))])
+    before = shown()
+    assert [name for name, _ in before] == ["Behind 2", "Box 2"]
+    follow_viewport(Camera(np.array([0.0, 50.0, 0.0]), 1000, camera.data.angle))
+    assert [name for name, _ in shown()] == ["Behind 2", "Box 0"] and rendered() == before
+    follow_viewport(None)
+    assert shown() == before

@@ -8,9 +8,10 @@ import pytest
 
 from distance_scenes import add_box, add_camera, add_scatter, describe_file, rendered, shown
 from farfield.addon.bridge.distance.chains import read_chains
-from farfield.addon.bridge.distance.level_switch import level_modifiers
+from farfield.addon.bridge.distance.level_switch import MAX_ERROR, level_modifiers
+from farfield.addon.bridge.distance.placing import QUADS
 from farfield.addon.bridge.geometry.mesh_arrays import read_attribute, write_attribute
-from farfield.addon.compat import enable_nodes
+from farfield.addon.compat import enable_nodes, read_node_input
 from farfield.addon.core.billboards.settings import BillboardSettings
 from farfield.addon.core.distance.settings import DistanceSettings
 from farfield.addon.core.jobs.progress import run_to_end
@@ -170,6 +171,8 @@ def test_a_second_build_uses_the_levels_of_the_first(camera):
     build(**QUICK)
     assert [collection.session_uid for chain in read_chains() for collection in chain.collections] == first
     build(**QUICK, max_error=4.0)
+    assert [collection.session_uid for chain in read_chains() for collection in chain.collections] == first, "only their distances differ"
+    build(**QUICK, fade_range=0.5)
     (chain,) = read_chains()
     assert [collection.session_uid for collection in chain.collections] != first
     assert len(level_modifiers(bpy.data.objects["Ball"])) == 1
@@ -249,12 +252,79 @@ def test_the_analysis_lists_the_heaviest_first(camera):
     group.min_triangles = 100
     bpy.ops.object.select_all(action="DESELECT")
     assert bpy.ops.farfield.distance_analyze() == {"FINISHED"}
-    plans = parse_json(group.analysis)
-    assert [(plan["name"], plan["places"], plan["triangles"], plan["outcome"]) for plan in plans] == [
-        ("Ball", 1, count_triangles(ball), "build"),
-        ("Box", 1, 12, "stays"),
+    plans = group.plans
+    assert [(plan.name, plan.source, plan.places, plan.triangles, plan.outcome) for plan in plans] == [
+        ("Ball", ball, 1, count_triangles(ball), "build"),
+        ("Box", bpy.data.objects["Box"], 1, 12, "stays"),
     ]
-    assert [plan["nearest"] for plan in plans] == pytest.approx([5.0, 3.0], abs=1e-3)
+    assert [plan.nearest for plan in plans] == pytest.approx([5.0, 3.0], abs=1e-3)
+    diagonal = 0.5 * 3.0**0.5
+    assert plans[1].pixels == pytest.approx(1000.0 * diagonal / 3.0, rel=1e-3), "1,000 pixels are 1 long at a distance of 1"
+    plans[0].method, plans[1].error_factor = "original", 2.0
+    ball.hide_render = True
+    bpy.ops.farfield.distance_analyze()
+    assert [(plan.name, plan.error_factor) for plan in plans] == [("Box", 2.0)], "choices stay"
+
+
+def test_the_analysis_looks_at_several_frames_and_ends_at_the_current_one(camera):
+    add_box("Box", (0.0, 500.0, 0.0))
+    camera.location = (0.0, 0.0, 0.0)
+    camera.keyframe_insert("location", frame=1)
+    camera.location = (0.0, 490.0, 0.0)
+    camera.keyframe_insert("location", frame=250)
+    scene = bpy.context.scene
+    scene.frame_set(1)
+    bpy.ops.farfield.distance_analyze()
+    (plan,) = scene.farfield_distance.plans
+    assert plan.nearest == pytest.approx(10.0, abs=0.01) and scene.frame_current == 1
+
+
+def test_the_method_of_an_object_and_its_error_factor(camera):
+    first, second = add_ball(), add_ball(9.0)
+    second.data = second.data.copy()
+    second.data.vertices[0].co.x += 0.2
+    rows = bpy.context.scene.farfield_distance.plans
+    for item, method, factor in ((first, "original", 1.0), (second, "levels", 2.5)):
+        row = rows.add()
+        row.source, row.method, row.error_factor = item, method, factor
+    build(min_triangles=10, perceptual_levels=False)
+    assert not level_modifiers(first)
+    (modifier,) = level_modifiers(second)
+    assert read_node_input(modifier, MAX_ERROR) == pytest.approx(2.5)
+    assert not any(QUADS in item for item in read_chains()[0].objects), "no cloud"
+
+
+@pytest.mark.parametrize("budget", [{"triangle_budget": 60}, {"texture_budget": 1e-3}])
+def test_a_budget_raises_the_error_until_levels_fit(camera, budget):
+    ball = add_ball(20.0)
+    build(**QUICK)
+    chain = read_chains()[0]
+    ball.location.y = 900.0 * chain.pixel_sizes[1]
+    assert shown()[0][0] == "Ball Level 0" and chain.triangles[-1] < 60 < chain.triangles[0]
+    assert chain.pixel_sizes[-1] < 10.0 * chain.pixel_sizes[1]
+    job = prepare(bpy.context.scene, [ball], DistanceSettings(**QUICK, **budget))
+    message = run_to_end(run_job(job))
+    if "triangle_budget" in budget:
+        assert "Max Error was raised to" in message and f"instead of {chain.triangles[0]:,}" in message
+        assert chain.triangles[int(shown()[0][0][-1])] <= 60
+    else:
+        assert "The budget is too small" in message, "all levels have the image of the ball"
+
+
+def test_a_measurement_renders_both_and_changes_nothing(camera):
+    ball = add_ball(300.0)
+    ball.scale = (30.0, 30.0, 30.0)
+    build(**QUICK)
+    scene = bpy.context.scene
+    scene.render.engine, scene.cycles.samples, scene.render.resolution_percentage = "CYCLES", 1, 10
+    levels, before = shown(), describe_file()
+    assert bpy.ops.farfield.distance_measure() == {"FINISHED"}
+    figures = parse_json(scene.farfield_distance.figures)
+    assert figures["frames"] == 1 and 0.0 <= figures["flip"] < 0.2
+    assert all(figures[name]["seconds"] > 0.0 and figures[name]["memory"] > 0 for name in ("originals", "levels"))
+    assert shown() == levels and describe_file() == before
+    bpy.ops.farfield.distance_remove()
+    assert not scene.farfield_distance.figures
 
 
 def test_a_scene_without_anything_heavy_is_refused(camera):

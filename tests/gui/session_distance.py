@@ -39,6 +39,16 @@ def instances() -> list[str]:
     return sorted(item.object.name for item in depsgraph.object_instances if item.is_instance)
 
 
+def find_view() -> bpy.types.RegionView3D:
+    """Return the view of the 3D Viewport."""
+    return next(area for area in bpy.context.screen.areas if area.type == "VIEW_3D").spaces.active.region_3d
+
+
+def duplicate() -> bpy.types.Object:
+    """Return the ball far away from the camera."""
+    return max((item for item in bpy.context.scene.objects if item.type == "MESH"), key=lambda item: item.location.length)
+
+
 def session() -> Iterator[float]:
     """Run the session; yields pauses in seconds."""
     user = UserInput()
@@ -53,7 +63,7 @@ def session() -> Iterator[float]:
     user.press("LEFTMOUSE", x, y)
     yield 2.0
     save_screenshot("1-analysis")
-    results["analysis"] = settings.analysis
+    results["analysis"] = [(plan.places, plan.outcome) for plan in settings.plans]
     results["before"] = scene_state()
 
     x, y = yield from user.press_and_start(BUTTON)
@@ -80,7 +90,29 @@ def session() -> Iterator[float]:
     user.press("LEFTMOUSE", x, y)
     yield 1.0
 
-    for _ in range(3):
+    scene = bpy.context.scene
+    scene.render.engine, scene.cycles.samples, scene.render.resolution_percentage = "CYCLES", 2, 20
+    yield from user.press_and_start("farfield.distance_measure")
+    yield from wait_for_job()
+    yield 2.0
+    save_screenshot("4-measured")
+    scene.render.resolution_percentage = 100
+    results["figures"], results["instances_after"] = settings.figures, instances()
+
+    view = find_view()
+    view.view_location, view.view_distance = duplicate().location, 3.0
+    yield 0.5
+    results["far"] = instances()
+    x, y = yield from user.find_button("farfield.distance_follow_view")
+    user.press("LEFTMOUSE", x, y)
+    yield 2.0
+    results["followed"] = instances()
+    save_screenshot("5-followed")
+    user.press("LEFTMOUSE", x, y)
+    yield 1.0
+    results["not_followed"] = instances()
+
+    for _ in range(4):
         yield from user.press_undo()
     results["after_undo"] = modifiers()
 

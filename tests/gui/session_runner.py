@@ -15,28 +15,28 @@ TIMEOUT_SECONDS = 900
 CRASH_CODES = (-signal.SIGSEGV, 128 + signal.SIGSEGV, -signal.SIGABRT, 128 + signal.SIGABRT)
 
 
-def run_gui_session(name: str, tmp_path_factory) -> dict:
-    """Run the session in the file `name` and return its results; see session.py.
+def run_gui_session(name: str, tmp_path_factory, size: tuple[int, int] = WINDOW_SIZE) -> dict:
+    """Run the session in the file `name`, in a window of `size` pixels, and return its results; see session.py.
 
     After a crash of Blender the session is run once more and the crash log is printed as a warning: one session in dozens has crashed in
     software OpenGL, for an unknown reason. A second crash fails.
     """
-    results, log = _run(name, tmp_path_factory)
+    results, log = _run(name, tmp_path_factory, size)
     if not results.exists() and log.returncode in CRASH_CODES:
         warnings.warn(f"Blender crashed during {name} and was started once more.\n{_last_output(log)}", stacklevel=2)
-        results, log = _run(name, tmp_path_factory)
+        results, log = _run(name, tmp_path_factory, size)
     assert results.exists(), f"Blender ended with {log.returncode} without results:\n{_last_output(log)}"
     print(f"screenshots and results: {results.parent}")
     print(*(line for line in (log.stdout + log.stderr).splitlines() if "Error" in line or "Traceback" in line), sep="\n")
     return json.loads(results.read_text(encoding="utf-8"))
 
 
-def _run(name: str, tmp_path_factory) -> tuple[Path, subprocess.CompletedProcess]:
+def _run(name: str, tmp_path_factory, size: tuple[int, int]) -> tuple[Path, subprocess.CompletedProcess]:
     """Return the path of the results, which exists if the session reached its end, and the finished process."""
     find_launcher()
     resources, output = tmp_path_factory.mktemp("blender"), tmp_path_factory.mktemp("results")
     blender_window.install(resources)
-    log = blender_window.run(resources, Path(__file__).with_name(name), [output], size=WINDOW_SIZE, seconds=TIMEOUT_SECONDS)
+    log = blender_window.run(resources, Path(__file__).with_name(name), [output], size=size, seconds=TIMEOUT_SECONDS)
     return output / "results.json", log
 
 

@@ -20,7 +20,7 @@ def test_the_session_ran_to_its_end(results):
 
 
 def test_the_analysis_lists_both_balls(results):
-    assert [(plan["places"], plan["outcome"]) for plan in json.loads(results["analysis"])] == [(1, "build"), (2, "build")]
+    assert results["analysis"] == [[1, "build"], [2, "build"]]
 
 
 def test_esc_leaves_the_scene_unchanged(results):
@@ -37,6 +37,17 @@ def test_all_places_show_levels(results):
 
 def test_the_button_shows_the_originals(results):
     assert results["originals"] == []
+
+
+def test_a_measurement_shows_its_figures_and_leaves_the_levels(results):
+    assert set(json.loads(results["figures"])) == {"frames", "flip", "originals", "levels"}
+    assert results["instances_after"] == results["instances"]
+
+
+def test_follow_view_shows_the_far_ball_from_near_until_it_is_switched_off(results):
+    assert results["far"] == results["not_followed"] != results["followed"]
+    originals = [sum(name.endswith("Level 0") for name in results[key]) for key in ("far", "followed")]
+    assert originals == [2, 1], "two balls are near the camera, and one is near the viewer"
 
 
 def test_undo_removes_the_modifiers(results):

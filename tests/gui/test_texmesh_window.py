@@ -5,13 +5,14 @@ import pytest
 from gui.session_runner import run_gui_session
 
 pytestmark = pytest.mark.gui
+TALL_WINDOW = 1400, 1200  # in which the open sub-panels fit
 LEVELS = ["Ball L0", "Ball L1", "Ball L2", "Ball L3"]
 
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory) -> dict:
     """The results of session_texmesh.py."""
-    return run_gui_session("session_texmesh.py", tmp_path_factory)
+    return run_gui_session("session_texmesh.py", tmp_path_factory, TALL_WINDOW)
 
 
 def test_the_session_ran_to_its_end(results):

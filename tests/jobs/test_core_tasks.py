@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 
 from farfield.addon.core.errors import FarfieldError, FileError, SettingsError
 from farfield.addon.core.jobs import core_worker, heartbeat
+from farfield.addon.core.jobs.executors import parse_executor
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.jobs.task_pool import TaskPool, open_task_pool
+from farfield.addon.core.jobs.task_pool import TaskPool
 from farfield.addon.core.jobs.task_processes import MAX_BATCH_ITEMS, split_into_batches
 
 MODULE = "tests.jobs.sample_tasks"
@@ -23,17 +24,17 @@ SPECS = ["serial", "processes:2"]
 
 
 @contextmanager
-def open_pool(folder: Path, executor_spec: str, task: str) -> Iterator[TaskPool]:
+def open_pool(folder: Path, word: str, task: str) -> Iterator[TaskPool]:
     """Open a pool for a task of `sample_tasks` that may write in `folder`."""
     with (
         closing(heartbeat.take_over(folder)) as held,
-        open_task_pool(executor_spec, MODULE, [task, str(folder)], held, "tiles") as pool,
+        parse_executor(word).open_task_pool(MODULE, [task, str(folder)], held, "tiles") as pool,
     ):
         yield pool
 
 
-def run(folder: Path, executor_spec: str, task: str, items: list) -> list:
-    with open_pool(folder, executor_spec, task) as pool:
+def run(folder: Path, word: str, task: str, items: list) -> list:
+    with open_pool(folder, word, task) as pool:
         return run_to_end(pool.run(items, "Tiles"))
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from farfield.addon.core.errors import Cancelled, GeometryError
 from farfield.addon.core.messages import single_line
-from farfield.addon.operators.error_reports import MORE, STATUS_CHARS, report_message, report_result, reports_errors
+from farfield.addon.operators.error_reports import report_message, reports_errors
 
 
 class Operator:
@@ -40,15 +40,6 @@ def run(error: Exception | None) -> tuple[set[str], list[tuple[set[str], str]]]:
 
 def test_without_an_error_nothing_is_reported():
     assert run(None) == ({"FINISHED"}, [])
-
-
-def test_a_long_result_has_its_first_sentences_in_the_status_bar():
-    operator = Operator()
-    report_result(operator, "Made 3 levels.")
-    assert operator.reports == [({"INFO"}, "Made 3 levels.")]
-    long = "Made 3 levels. " + "A" * STATUS_CHARS
-    report_result(operator, long)
-    assert operator.reports[1:] == [({"INFO"}, long), ({"INFO"}, f"Made 3 levels. {MORE}")]
 
 
 def test_blender_sees_the_arguments_that_it_passes():

@@ -111,11 +111,22 @@ def test_zips_of_all_pythons_exclude_each_other_and_no_newer_blender():
 
     text = (environment.ROOT / "blender_manifest.toml").read_text(encoding="utf-8")
     pythons = build_extension.BLENDER_VERSIONS
-    manifests = [tomllib.loads(build_extension.complete_manifest(text, "linux-x64", python, '  "./wheels/a.whl",\n')) for python in pythons]
+    wheels, holders = ["./wheels/a.whl"], ['2020 A "B" C']
+    manifests = [tomllib.loads(build_extension.complete_manifest(text, "linux-x64", python, wheels, holders)) for python in pythons]
     limits = [(manifest["blender_version_min"], manifest.get("blender_version_max")) for manifest in manifests]
     assert limits == list(pythons.values()) and limits[0][0] == MANIFEST["blender_version_min"] and limits[-1][1] is None
     assert all(end == start for (_, end), (start, _) in itertools.pairwise(limits))
     assert all(manifest["wheels"] == ["./wheels/a.whl"] and manifest["platforms"] == ["linux-x64"] for manifest in manifests)
+    assert all(manifest["copyright"] == [*MANIFEST["copyright"], *holders] for manifest in manifests)
+
+
+def test_zip_names_the_copyright_holders_of_its_wheels_and_asks_for_no_network(archive):
+    with zipfile.ZipFile(archive) as packed:
+        manifest = tomllib.loads(packed.read("blender_manifest.toml").decode())
+    holders = " ".join(manifest["copyright"])
+    for name in ("Farfield", "SciPy", "OpenBLAS", "Markus Worchel", "PyVista", "threadpoolctl", "Gohlke", "Clark", "Kapoulkine"):
+        assert name in holders
+    assert set(manifest["permissions"]) == {"files"}
 
 
 def test_enabling_registers_the_tab_and_disabling_removes_everything(results):

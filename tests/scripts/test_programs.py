@@ -7,9 +7,10 @@ def test_a_missing_program_is_named_with_its_tests_and_one_command(monkeypatch):
     monkeypatch.setattr("shutil.which", lambda name: "/usr/bin/dnf" if name == "dnf" else None)
     programs = [program._replace(find=lambda: None) for program in PROGRAMS]
     lines = list(describe_missing([TESTS], programs))
-    assert [program.name in line for program, line in zip(programs, lines, strict=True)] == [True, True, True]
+    assert [program.name in line for program, line in zip(programs, lines, strict=True)] == [True] * 4
     assert "test_page_in_browser.py" in lines[0] and lines[0].endswith("To run them: sudo dnf install chromium")
     assert "javascript" in lines[1] and lines[1].endswith("sudo dnf install nodejs")
+    assert "test_site.py" in lines[3] and lines[3].endswith("python3 scripts/build_docs.py")
     assert "test_flip.py" in lines[2] and lines[2].endswith("python3 scripts/reference_tools.py")
 
 

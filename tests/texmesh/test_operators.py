@@ -11,7 +11,6 @@ from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.messages import first_sentences
 from farfield.addon.core.texmesh import TexmeshSettings
 from farfield.addon.core.texmesh.settings import SceneSettings
-from farfield.addon.operators import properties
 from farfield.addon.operators.job_run import run_job
 from farfield.addon.operators.texmesh import preview
 from farfield.addon.operators.texmesh.job import prepare_levels
@@ -99,6 +98,25 @@ def test_several_objects_stay_selected_and_the_active_one_stays_active(ball):
     assert bpy.ops.farfield.texmesh_levels(**SMALL) == {"FINISHED"}
     again = {levels.source: levels.levels for levels in level_sets_in(bpy.context.scene)}
     assert again.keys() == {ball, other} and bpy.context.view_layer.objects.active == again[ball][0]
+
+
+def test_cross_fade_is_switched_per_object_and_for_all(ball):
+    textured_ball(8, "Other")
+    bpy.ops.object.select_all(action="SELECT")
+    bpy.ops.farfield.texmesh_levels(**SMALL)
+    bpy.ops.object.camera_add(location=(0.0, -1e5, 0.0))
+    bpy.context.scene.camera = bpy.context.object
+    bpy.ops.object.select_all(action="DESELECT")
+    first, second = level_sets_in(bpy.context.scene)
+    bpy.context.view_layer.objects.active = first.levels[0]
+    first.levels[0].select_set(True)
+    bpy.ops.farfield.texmesh_crossfade(enable=False)
+    assert (first.has_crossfade, second.has_crossfade) == (False, True)
+    assert [level.hide_render for level in first.levels] == [True, True, False] and first.source.hide_render
+    bpy.ops.farfield.texmesh_crossfade(all_objects=True)
+    assert first.has_crossfade and second.has_crossfade
+    bpy.ops.farfield.texmesh_crossfade(enable=False, all_objects=True)
+    assert not first.has_crossfade and not second.has_crossfade
 
 
 def test_no_preview_starts_in_scripts(ball):
@@ -196,17 +214,6 @@ def test_small_objects_stay_as_they_are(capsys):
     (levels,) = level_sets_in(bpy.context.scene)
     assert len(levels.levels) == 1 and len(levels.levels[0].data.polygons) == 12
     assert '"Cube" has only 12 triangles and stays as it is.' in capsys.readouterr().out
-
-
-def test_presets_set_all_research_controls_and_no_others():
-    group = bpy.context.scene.farfield_texmesh
-    group.noise, group.views, group.number = 2.0, 3, 5
-    assert bpy.ops.farfield.texmesh_preset(preset="paper") == {"FINISHED"}
-    found = properties.read(TexmeshSettings, group)
-    assert (found.analysis, found.spacing, found.removal_order, found.protected_fraction) == ("range_image", 0.0, "scale", 0.0)
-    assert found.noise == TexmeshSettings.noise and found.views == TexmeshSettings.views and found.number == 5
-    bpy.ops.farfield.texmesh_preset(preset="default")
-    assert properties.read(TexmeshSettings, group) == TexmeshSettings(number=5)
 
 
 def test_a_small_object_stays_as_it_is_beside_the_levels_of_others(ball, capsys):

@@ -67,6 +67,7 @@ def create_cloud_material(
     for parameter, value in parameters.items():
         builder.connect(value, group.inputs[parameter])
     builder.arrange()
+    next(node for node in material.node_tree.nodes if node.label == FRONT_COLOR).show_texture = True
     return material
 
 

@@ -64,11 +64,17 @@ class Asset:
         self.low, self.high = read_box(self.objects, self.frame, depsgraph)
 
     @property
-    def positions(self) -> tuple[np.ndarray, np.ndarray]:
-        """The centers (N, 3) in world space, and the scales (N,), of all places."""
+    def source(self) -> bpy.types.ID:
+        """The object or the collection by which the asset is known."""
+        return self.empties[0].instance_collection if self.empties else self.objects[0]
+
+    @property
+    def spheres(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The centers (N, 3) and radii (N,) of bounding spheres in world space, and the scales (N,), of all places."""
         matrices = np.array([np.array(matrix) for matrix in self.matrices])
-        center = 0.5 * (self.low + self.high)
-        return matrices[:, :3, :3] @ center + matrices[:, :3, 3], mean_scale(matrices)
+        centers = matrices[:, :3, :3] @ (0.5 * (self.low + self.high)) + matrices[:, :3, 3]
+        radius = 0.5 * float(np.linalg.norm(self.high - self.low))
+        return centers, radius * np.linalg.norm(matrices[:, :3, :3], axis=1).max(axis=1), mean_scale(matrices)
 
 
 class AssetSearch:

@@ -12,8 +12,9 @@ from ..objects import world_matrix
 from ..shading.node_builder import nodes_in
 from .assets import Asset
 
-VERSION = 2  # Of the levels that are made; a change makes all levels again.
-OF_PLACES = {"min_triangles"}  # Settings that concern which objects get levels, not the levels.
+VERSION = 3  # Of the levels that are made; a change makes all levels again.
+# Settings that concern which objects get levels, and where these show, not the levels.
+OF_PLACES = {"min_triangles", "max_error", "triangle_budget", "texture_budget"}
 
 
 def fingerprint(asset: Asset, depsgraph: bpy.types.Depsgraph, settings: DistanceSettings) -> str:

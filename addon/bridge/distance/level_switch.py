@@ -6,28 +6,31 @@ cross-fade for each camera ray, see `lod_crossfade`. What the camera does not se
 original, which would take the most memory.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import bpy
 
+from ...core.distance.forecasts import MARGIN, UNSEEN_EXCESS, UNSEEN_FACTOR
+from ...core.geometry.cameras import Camera
 from ..lod_crossfade import CONSTANT, GROWTH, INSTANCE_CAMERA, INSTANCE_PIXEL, PIXELS, SCENE_PATHS
 from ..objects import drive_by_scene
 from ..shading.node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
 
-NAME, VERSION = "Farfield Levels by Distance", 3
-VIEW_NAME, VIEW_VERSION = "Farfield Active Camera", 1
+NAME, VERSION = "Farfield Levels by Distance", 4
+VIEW_NAME, VIEW_VERSION = "Farfield Active Camera", 2
 TREE = "GeometryNodeTree"
+MAX_ERROR = "Max Error"  # Input of the modifiers: what a level may leave out, in pixels.
 SEPARATION = 1e-5  # Of the distance, by which levels that fade are moved apart: where surfaces coincide, Cycles misses one of them.
 TINY_BOX = 1e-20  # Size of the bounding box of an instance that has only other instances.
 MAX_NESTING = 4  # Levels of instances of instances, such as of a collection with collections.
-UNSEEN_FACTOR = 4.0  # Of the size of a pixel where the camera does not see: shadows are soft, but those of the coarsest level are spots.
-UNSEEN_EXCESS = 1.001  # Of that size above the one from which the first level after the original shows, at least.
-MARGIN = 0.1  # Radians around the image, for motion blur and shifted lenses.
 # The tangent of the angle between the view direction and the corners of the image; as large as possible where everything may be seen.
 DIAGONAL = f"1e6 if t!=0 else tan(a/2)/{PIXELS}*hypot(x,y)*p/100+hypot(i,j)*2*tan(a/2)"
 VIEW_VALUES = {"Growth": GROWTH, "Constant": CONSTANT, "Diagonal": DIAGONAL}
 VIEW_PATHS = SCENE_PATHS | {"i": "camera.data.shift_x", "j": "camera.data.shift_y"}
+# Values of the view that a viewport shows instead of that of the active camera, while it follows the user's: 1, the position, and sizes.
+VIEWPORT_VALUES = ("Follows Viewport", "Viewport X", "Viewport Y", "Viewport Z", "Viewport Growth", "Viewport Constant")
+EVERYTHING = 1e6  # The diagonal of a view to all sides.
 
 
 class GeometryBuilder(NodeBuilder):
@@ -76,8 +79,8 @@ class View:
     Attributes:
         position: of the camera, in world space.
         direction: in which it looks, in world space.
-        growth: of the size of a pixel per unit of distance, see `lod_crossfade`.
-        constant: size of a pixel at the camera.
+        growth: of the size of a pixel per unit of distance, see `lod_crossfade`; for levels times what they may leave out, in pixels.
+        constant: size of a pixel at the camera, for levels times the same.
         diagonal: see `DIAGONAL`.
         is_viewport: whether no render is made.
     """
@@ -92,7 +95,7 @@ class View:
 
 def ensure_level_switch(count: int, places: Places) -> bpy.types.NodeTree:
     """Return the node group that shows one of `count` levels, each a collection, at the `places` of an asset."""
-    sockets = [("Geometry", "Geometry"), ("Center", "Vector"), ("Radius", "Float"), ("Fade Range", "Float")]
+    sockets = [("Geometry", "Geometry"), ("Center", "Vector"), ("Radius", "Float"), (MAX_ERROR, "Float"), ("Fade Range", "Float")]
     sockets += [("Low", "Vector"), ("High", "Vector"), ("Tolerance", "Float")] if places is Places.MATCHING else []
     for number in range(count):
         sockets += [(f"Level {number}", "Collection"), (f"Fading Level {number}", "Collection"), (f"Pixel Size {number}", "Float")]
@@ -107,8 +110,9 @@ def ensure_level_switch(count: int, places: Places) -> bpy.types.NodeTree:
 def _fill(builder: GeometryBuilder, count: int, places: Places) -> None:
     given, result = builder.node("NodeGroupInput").outputs, builder.node("NodeGroupOutput").inputs[0]
     geometry = given["Geometry"]
-    view_node = builder.call("GeometryNodeGroup", {}, {"node_tree": _ensure_view()})
-    view = View(*view_node.outputs[:6])
+    seen = View(*builder.call("GeometryNodeGroup", {}, {"node_tree": _ensure_view()}).outputs[:6])
+    growth, constant = (builder.math("MULTIPLY", size, given[MAX_ERROR]) for size in (seen.growth, seen.constant))
+    view = replace(seen, growth=growth, constant=constant)
     own = builder.call("GeometryNodeObjectInfo", {"Object": builder.node("GeometryNodeSelfObject").outputs[0]})
     to_world, local, rest = own.outputs["Transform"], None, None
     if places is Places.OBJECT:
@@ -266,10 +270,36 @@ def _fill_view(builder: NodeBuilder) -> None:
         node = builder.node("ShaderNodeValue", {"name": name, "label": name})
         drive_by_scene(node.outputs[0].driver_add("default_value").driver, expression, VIEW_PATHS)
         values.append(node.outputs[0])
-    values.append(builder.node("GeometryNodeIsViewport").outputs[0])
+    is_viewport = builder.node("GeometryNodeIsViewport").outputs[0]
+    follows, *position, growth, constant = [
+        builder.node("ShaderNodeValue", {"name": name, "label": name}).outputs[0] for name in VIEWPORT_VALUES
+    ]
+    is_following = builder.boolean("AND", is_viewport, builder.less(0.5, follows))
+    of_viewport = (builder.combine(*position), None, growth, constant, EVERYTHING)
+    kinds = ("VECTOR", "", "FLOAT", "FLOAT", "FLOAT")
+    values = [
+        value if other is None else builder.switch(is_following, value, other, kind)
+        for value, other, kind in zip(values, of_viewport, kinds, strict=True)
+    ]
+    values.append(is_viewport)
     output = builder.node("NodeGroupOutput")
     for value, target in zip(values, output.inputs, strict=False):
         builder.tree.links.new(value, target)
+
+
+def follow_viewport(camera: Camera | None) -> None:
+    """Let viewports show levels for a view in place of that of the active camera, or with None for that of the active camera again."""
+    values = [0.0] * len(VIEWPORT_VALUES)
+    if camera is not None:
+        constant = camera.pixel_size(0.0)
+        growth = camera.pixel_size(1.0) if camera.field_of_view else 0.0
+        values = [1.0, *camera.position, growth, constant]
+    for tree in bpy.data.node_groups:
+        if tree.name.startswith(VIEW_NAME) and tree.library is None:
+            for name, value in zip(VIEWPORT_VALUES, values, strict=True):
+                output = tree.nodes[name].outputs[0]
+                if output.default_value != value:
+                    output.default_value = value
 
 
 def level_modifiers(item: bpy.types.Object) -> list[bpy.types.NodesModifier]:

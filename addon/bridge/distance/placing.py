@@ -6,13 +6,13 @@ from contextlib import contextmanager
 import bpy
 import numpy as np
 
-from ...compat import set_node_input
+from ...compat import read_node_input, set_node_input
 from ..lod_sets import KIND
 from ..rendering.render_properties import ensure_transparent_bounces, estimate_transparent_bounces
 from ..shading.node_builder import NodeBuilder, ensure_shared_group
 from .assets import Asset
 from .chains import HOST, Chain, remove_unused_chains
-from .level_switch import NAME, TREE, VIEW_NAME, GeometryBuilder, Places, ensure_level_switch, level_modifiers
+from .level_switch import MAX_ERROR, NAME, TREE, VIEW_NAME, GeometryBuilder, Places, ensure_level_switch, level_modifiers
 
 MODIFIER = "Farfield Distance"
 QUADS = "farfield_quads"  # Property of the levels of billboard clouds.
@@ -23,25 +23,26 @@ INSTANCE_TYPE = "farfield_instance_type"  # Property of an empty that levels sta
 BOUNCES = "farfield_distance_bounces"  # Property of a scene: its limit of transparent bounces before and after the levels were added.
 
 
-def attach_chain(asset: Asset, chain: Chain, scene: bpy.types.Scene, fade_range: float) -> None:
-    """Show an asset by its levels at all its places."""
+def attach_chain(asset: Asset, chain: Chain, scene: bpy.types.Scene, fade_range: float, max_error: float) -> None:
+    """Show an asset by its levels at all its places. They may leave out `max_error` pixels."""
+    ranges = {"Fade Range": fade_range, MAX_ERROR: max_error}
     for hosts, places in ((asset.hosts, Places.OBJECT), (asset.scatterers, Places.MATCHING)):
         for host in dict.fromkeys(hosts):
-            _add_modifier(host, chain, fade_range, places, asset.tolerances.get(host, 0.0))
+            _add_modifier(host, chain, ranges, places, asset.tolerances.get(host, 0.0))
     if asset.empties:
-        _add_placements(asset, chain, scene, fade_range)
+        _add_placements(asset, chain, scene, ranges)
     quads = [item for item in chain.objects if QUADS in item]
     _raise_bounces(scene, max(MIN_FADE_BOUNCES if fade_range else 0, estimate_transparent_bounces(quads) if quads else 0))
     chain.collections[0].use_fake_user = False
 
 
-def _add_modifier(host: bpy.types.Object, chain: Chain, fade_range: float, places: Places, tolerance: float = 0.0) -> None:
+def _add_modifier(host: bpy.types.Object, chain: Chain, ranges: dict[str, float], places: Places, tolerance: float = 0.0) -> None:
     """Show levels of an object, or of its instances whose bounding box differs from that of the asset by less than `tolerance`."""
     modifier = host.modifiers.new(f"{MODIFIER}: {chain.name}"[:63], "NODES")
     modifier.node_group = ensure_level_switch(len(chain.collections), places)
     modifier.show_expanded = False
     center = 0.5 * (chain.low + chain.high)
-    values = {"Center": center.tolist(), "Radius": float(np.linalg.norm(chain.high - center)), "Fade Range": fade_range}
+    values = {"Center": center.tolist(), "Radius": float(np.linalg.norm(chain.high - center)), **ranges}
     if places is Places.MATCHING:
         values |= {"Low": chain.low.tolist(), "High": chain.high.tolist(), "Tolerance": tolerance}
     for number, (collection, size) in enumerate(zip(chain.collections, chain.pixel_sizes, strict=True)):
@@ -52,7 +53,7 @@ def _add_modifier(host: bpy.types.Object, chain: Chain, fade_range: float, place
     host.update_tag()
 
 
-def _add_placements(asset: Asset, chain: Chain, scene: bpy.types.Scene, fade_range: float) -> None:
+def _add_placements(asset: Asset, chain: Chain, scene: bpy.types.Scene, ranges: dict[str, float]) -> None:
     """Add an object that instances the levels wherever an empty is, and hide the instances of the empties, which stay movable."""
     places = bpy.data.collections.new(f"{asset.name} Places")
     host = bpy.data.objects.new(f"{asset.name} Levels", bpy.data.meshes.new(f"{asset.name} Levels"))
@@ -69,7 +70,7 @@ def _add_placements(asset: Asset, chain: Chain, scene: bpy.types.Scene, fade_ran
         PLACES_NAME, PLACES_VERSION, [*sockets, ("Places", "Collection")], sockets, _fill_places, tree_type=TREE
     )
     set_node_input(modifier, "Places", places)
-    _add_modifier(host, chain, fade_range, Places.ALL)
+    _add_modifier(host, chain, ranges, Places.ALL)
 
 
 def _fill_places(builder: NodeBuilder) -> None:
@@ -100,6 +101,12 @@ def describe_bounces(scene: bpy.types.Scene) -> str:
 def find_hosts(objects: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:
     """Return those of `objects` that show levels by distance."""
     return [item for item in objects if level_modifiers(item)]
+
+
+def max_errors(scene: bpy.types.Scene) -> dict[bpy.types.Collection, float]:
+    """Return what levels may leave out, in pixels, for the collection of the first level of each chain that a scene shows."""
+    modifiers = [modifier for item in scene.objects for modifier in level_modifiers(item)]
+    return {read_node_input(modifier, "Level 0"): read_node_input(modifier, MAX_ERROR) for modifier in modifiers}
 
 
 def has_levels(scene: bpy.types.Scene) -> bool:

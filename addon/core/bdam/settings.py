@@ -1,6 +1,7 @@
 """Settings of *Large Terrain*."""
 
 from dataclasses import dataclass
+from functools import partial
 
 from ..settings import Choice, Settings, Unit, setting
 
@@ -21,34 +22,34 @@ TEXTURE_ERRORS = {
 }
 
 
+in_options = partial(setting, group="Options")
+
+
 @dataclass(frozen=True, kw_only=True)
 class BdamSettings(Settings):
     """Settings of the build of a large terrain."""
 
-    patch_size: str = setting("32", "Samples along the short edges of the finest patches", choices=PATCH_SIZES)
-    height_step: float = setting(
+    patch_size: str = in_options("32", "Samples along the short edges of the finest patches", choices=PATCH_SIZES)
+    height_step: float = in_options(
         0.0,
         "Meters between two heights that are stored. 0 for that of the source, or a two-hundredth of a cell",
         minimum=0.0,
         maximum=1000.0,
     )
-    cell_size: float = setting(1.0, "Meters between two samples of a source without a position", minimum=1e-3, maximum=1e6)
-    image_height: float = setting(100.0, "Meters between black and white of a source that is an image", minimum=1e-3, maximum=1e6)
+    cell_size: float = in_options(1.0, "Meters between two samples of a source without a position", minimum=1e-3, maximum=1e6)
+    image_height: float = in_options(100.0, "Meters between black and white of a source that is an image", minimum=1e-3, maximum=1e6)
     allow_gaps: bool = setting(False, "Accept several sources that do not fill their common rectangle; the gaps become holes")
     fill_holes: bool = setting(False, "Fill unknown heights smoothly from those around them, instead of leaving holes")
-    texture_format: str = setting("jpeg", "How texture tiles are coded", choices=TEXTURE_FORMATS)
-    texture_quality: int = setting(
+    texture_format: str = in_options("jpeg", "How texture tiles are coded", choices=TEXTURE_FORMATS)
+    texture_quality: int = in_options(
         0,
         "Quality of the tiles, 1 to 100. 0 for 85 of JPEG and 95 of WebP",
         minimum=0,
         maximum=100,
         used_if={"texture_format": ("jpeg", "webp")},
     )
-    texture_error: str = setting("magnification", "What decides how fine textures must be", choices=TEXTURE_ERRORS)
-    executor: str = setting(
-        "processes",
-        "Where patches are built: serial, processes, processes:N, or dask:tcp://HOST:PORT. Dask needs a work folder that all share",
-    )
+    texture_error: str = in_options("magnification", "What decides how fine textures must be", choices=TEXTURE_ERRORS)
+    executor: str = in_options("processes", "Where patches are built: serial, processes, or processes:N for N at a time", in_presets=False)
 
 
 SHADINGS = {

@@ -57,9 +57,7 @@ class BakeSettings(Settings):
     samples: int = in_performance(
         4, "Cycles samples per pixel under each light of the model Emission. Silhouettes take 4 times as many", minimum=1, maximum=4096
     )
-    executor: str = in_performance(
-        "processes", "Where renders run: serial, processes, processes:N for N at a time, or dask:tcp://HOST:PORT for a Dask scheduler"
-    )
+    executor: str = in_performance("processes", "Where renders run: serial, processes, or processes:N for N at a time", in_presets=False)
     seed: int = in_performance(0, "Random seed", minimum=0, maximum=2**31 - 1)
 
 

@@ -10,6 +10,7 @@ from ..errors import GeometryError, SettingsError
 from ..jobs.chunks import map_ordered, slices
 from ..jobs.progress import Progress, StageClock, Steps, subprogress
 from .blocks import BlockIndex, BlockMesh, compute_signatures, extract_blocks
+from .clearings import find_clearing
 from .files.readers import READERS, Readers
 from .layout import is_same_layout, layout_around, visible_blocks
 from .nested import NestedBoxes
@@ -66,9 +67,9 @@ class TerrainEngine:
         """
         self.settings = settings
         self.clock = StageClock()
-        sampler = build_sampler(settings, readers)
-        self.warnings = sampler.warnings
-        self.boxes = NestedBoxes(sampler, settings, closed)
+        self._sampler = build_sampler(settings, readers)
+        self.warnings = self._sampler.warnings
+        self.boxes = NestedBoxes(self._sampler, settings, closed)
         self.finished_blocks: SimpleQueue[tuple[BlockKey, BlockMesh]] = SimpleQueue()
         self.moves = 0
         self.initial_voxels = 0
@@ -95,6 +96,10 @@ class TerrainEngine:
         self.initial_voxels = self.initial_voxels or sum(grid.computed for grid in self.boxes.grids)
         with self.clock.stage("surface"):
             return (yield from subprogress(self._polygonize(viewer), VOXELS_FRACTION, 1.0))
+
+    def find_clearing(self, position: np.ndarray) -> np.ndarray:
+        """Return the lowest position (3,) at or above `position` where a viewer can stand, see `clearings.find_clearing`."""
+        return find_clearing(self._sampler, position, self.settings.voxel_size)
 
     def is_settled_at(self, viewer: np.ndarray) -> bool:
         """Return whether a move to `viewer` (3,) would change nothing."""

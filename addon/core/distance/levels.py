@@ -20,19 +20,17 @@ class LevelCandidate:
     pixel_size: float
 
 
-def choose_levels(candidates: Sequence[LevelCandidate], max_error: float) -> list[tuple[int, float]]:
-    """Return the indices of the candidates that become levels, finest first, and the pixel size above which each shows.
+def choose_levels(candidates: Sequence[LevelCandidate]) -> list[int]:
+    """Return the indices of the candidates that become levels, finest first.
 
     The first level is the original, the candidate with the pixel size 0. Each further one has at most `MAX_TRIANGLES_RATIO` times the
     triangles of the level before.
-
-    max_error: size in pixels of what a level may leave out.
     """
-    chosen: list[tuple[int, float]] = []
+    chosen: list[int] = []
     for index in sorted(range(len(candidates)), key=lambda index: (candidates[index].pixel_size, candidates[index].triangles)):
         candidate = candidates[index]
-        if not chosen or candidate.triangles <= MAX_TRIANGLES_RATIO * candidates[chosen[-1][0]].triangles:
-            chosen.append((index, candidate.pixel_size / max_error))
+        if not chosen or candidate.triangles <= MAX_TRIANGLES_RATIO * candidates[chosen[-1]].triangles:
+            chosen.append(index)
     return chosen
 
 

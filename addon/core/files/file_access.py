@@ -101,6 +101,11 @@ def read_file(path: Path, max_bytes: int | None = None) -> bytes:
     return content
 
 
+def folder_bytes(folder: Path) -> int:
+    """Return the size of all files in a folder. Raises OSError."""
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+
+
 def check_readable(path: Path) -> None:
     """Check that `path` is a regular file that this user may read.
 

@@ -36,7 +36,7 @@ def core_command(module: str, arguments: list[str]) -> list[str]:
         flags.append("-s")
     if sys.flags.utf8_mode:
         flags += ["-X", "utf8"]
-    return [_python_program(), *flags, str(START_SCRIPT), module, json.dumps(_wheel_folders()), *arguments]
+    return [_python_program(), *flags, str(START_SCRIPT), module, json.dumps(module_folders(*WHEELS)), *arguments]
 
 
 def run_module(module: str, arguments: list[str]) -> int:
@@ -62,11 +62,11 @@ def _python_program() -> str:
     return str(program)
 
 
-@lru_cache(maxsize=1)
-def _wheel_folders() -> list[str]:
-    """Return the folders that hold the packages of the extension."""
+@lru_cache(maxsize=2)  # for workers with and without Blender
+def module_folders(*names: str) -> list[str]:
+    """Return the folders that hold modules and packages, of those that this process finds: a worker process may find others."""
     folders = set()
-    for spec in filter(None, map(find_spec, WHEELS)):
+    for spec in filter(None, map(find_spec, names)):
         paths = spec.submodule_search_locations or [spec.origin]  # A package has folders, a module of one file has none.
         folders |= {str(Path(path).resolve().parent) for path in paths}
     return sorted(folders)

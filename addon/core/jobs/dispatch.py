@@ -9,9 +9,10 @@ from typing import Generic, Protocol, TypeVar
 
 from ..errors import FarfieldError
 from .core_worker import EXIT_ERROR, EXIT_EXCEPTION, failure_message, worker_exception
+from .executors import Executor
 from .heartbeat import Heartbeat
 from .progress import Progress, Steps
-from .subprocess_pool import SubprocessPool, open_subprocess_pool, wait_for_exit
+from .subprocess_pool import SubprocessPool, wait_for_exit
 
 POLL_SECONDS = 0.1  # between two progress updates
 CHECK_FRACTION = 0.02  # Part of the progress bar that the check of finished items takes.
@@ -52,19 +53,18 @@ def run_missing(
     held: Heartbeat,
     items: Sequence[Item],
     files: ItemFiles[Item],
-    executor_spec: str,
+    executor: Executor,
     command: Callable[[Shard[Item]], list[str]],
     name: ItemName,
     split: Callable[[Sequence[Item], int], list[list[Item]]],
 ) -> Steps[int]:
     """Have worker processes finish all `items` that miss files; return the number of new files.
 
-    held: of the run, which must own the folders of the files. executor_spec: see `executors.parse_executor`. command: returns the command
-    line that finishes a shard; it must skip finished files. split: splits the missing items into shards for a number of slots, see
-    `split_evenly`. Closing this generator ends the workers; finished items are kept.
+    held: of the run, which must own the folders of the files. command: returns the command line that finishes a shard; it must skip
+    finished files. split: splits the missing items into shards for a number of slots, see `split_evenly`. Closing this generator ends the
+    workers; finished items are kept.
 
     Raises:
-        SettingsError: the executor spec is invalid.
         FarfieldError: a worker reports an error, runs out of memory, or crashes twice at the same items.
         RuntimeError: a worker fails with another exception. A second worker would fail in the same way.
         FileError: a folder cannot be written, or another run takes it over.
@@ -79,8 +79,8 @@ def run_missing(
         return 0
     total = files.parts * len(items)
     finished_before = total - files.parts * len(missing) + sum(files.count_parts(missing))
-    with open_subprocess_pool(executor_spec) as pool:
-        shards = [Shard(part, held.path, pool.executor.workers_per_machine) for part in split(missing, pool.executor.slots)]
+    with executor.open_subprocess_pool() as pool:
+        shards = [Shard(part, held.path, pool.workers_per_machine) for part in split(missing, pool.slots)]
         finished = finished_before
         for missing_parts in run_shards(pool, held, shards, files, command, name.plural):
             finished = total - missing_parts

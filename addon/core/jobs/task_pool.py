@@ -6,25 +6,19 @@ use one thread everywhere, so every executor gives the same replies.
 """
 
 import json
-import shutil
-import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 from typing import Any, Protocol
 
 from ..files.file_access import convert_os_errors
 from ..files.temporary_folders import temporary_folder
 from .chunks import blas_thread_limit
 from .core_worker import core_command, import_extension_module
-from .dispatch import Shard, run_shards, split_evenly
-from .executors import parse_executor
 from .heartbeat import Heartbeat
 from .progress import Progress, Steps
-from .subprocess_pool import SubprocessPool, open_subprocess_pool
 from .task_processes import ProcessTaskPool
-from .task_worker import Task, file_arguments, read_reply, task_arguments
+from .task_worker import Task, task_arguments
 
 POLL_SECONDS = 0.1  # between two progress updates
 WORKER_MODULE = "addon.core.jobs.task_worker"
@@ -48,37 +42,33 @@ class TaskPool(Protocol):
 
 
 @contextmanager
-def open_task_pool(executor_spec: str, module: str, arguments: list[str], held: Heartbeat, items_name: str = "tasks") -> Iterator[TaskPool]:
-    """Open a pool for the tasks of a `module` of the extension, for instance `addon.core.bdam.build_tasks`.
+def open_task_pool(processes: int, module: str, arguments: list[str], held: Heartbeat, items_name: str = "tasks") -> Iterator[TaskPool]:
+    """Open a pool of processes of this machine for the tasks of a `module` of the extension, for instance `addon.core.bdam.build_tasks`.
 
-    executor_spec: see `executors.parse_executor`. `serial` calls the function in this process and thread. `processes:N` starts up to N
-    worker processes as items need them; they live until the end of the block. `dask:...` starts a process per run and slot, and passes
-    items and replies through files next to the heartbeat file, whose folder all machines must be able to reach. held: heartbeat of the
-    job; `run` renews it, and workers exit when it ends. items_name: what error messages call the items, in plural.
+    processes: how many worker processes are started at most, as items need them; they live until the end of the block. held: heartbeat of
+    the job; `run` renews it, and workers exit when it ends. items_name: what error messages call the items, in plural.
 
     Raises:
-        SettingsError: the executor spec is invalid.
-        FarfieldError: with `serial`, errors of `open_tasks`; Dask is not installed, or no scheduler with workers answers; this Blender has
-            no Python program.
+        FarfieldError: this Blender has no Python program.
         FileError: a temporary folder cannot be created.
     """
-    spec = parse_executor(executor_spec)
-    if spec.is_serial:
-        yield SerialTaskPool(import_extension_module(module).open_tasks(arguments), held)
-        return
-    command = core_command(WORKER_MODULE, task_arguments(module, arguments, held.path))
     with ExitStack() as stack:
-        if spec.scheduler is None:
-            with convert_os_errors("A temporary folder cannot be created"):
-                folder = stack.enter_context(temporary_folder())
-            pool = ProcessTaskPool(command, spec.processes, held, folder, items_name)
-            stack.callback(pool.close)
-            yield pool
-        else:
-            processes = stack.enter_context(open_subprocess_pool(executor_spec))
-            with convert_os_errors(f'A temporary folder cannot be created in "{held.path.parent}"'):
-                folder = stack.enter_context(temporary_folder(held.path.parent))
-            yield ShardTaskPool(command, processes, held, folder, items_name)
+        command = worker_command(module, arguments, held)
+        with convert_os_errors("A temporary folder cannot be created"):
+            folder = stack.enter_context(temporary_folder())
+        pool = ProcessTaskPool(command, processes, held, folder, items_name)
+        stack.callback(pool.close)
+        yield pool
+
+
+def create_serial_pool(module: str, arguments: list[str], held: Heartbeat) -> "SerialTaskPool":
+    """Return a pool that runs the tasks of a `module` in this process and thread; see `open_task_pool`. Raises errors of `open_tasks`."""
+    return SerialTaskPool(import_extension_module(module).open_tasks(arguments), held)
+
+
+def worker_command(module: str, arguments: list[str], held: Heartbeat) -> list[str]:
+    """Return the command of a worker process for the tasks of a `module`. Raises FarfieldError if this Blender has no Python program."""
+    return core_command(WORKER_MODULE, task_arguments(module, arguments, held.path))
 
 
 class SerialTaskPool:
@@ -103,79 +93,3 @@ class SerialTaskPool:
 
 def _pass_through_json(value: Any) -> Any:
     return json.loads(json.dumps(value))
-
-
-class ShardTaskPool:
-    """Gives items to subprocesses of `pool` that run `command`, through files in `folder`; see `TaskPool`."""
-
-    def __init__(self, command: list[str], pool: SubprocessPool, held: Heartbeat, folder: Path, items_name: str) -> None:
-        self._command, self._pool, self._held = command, pool, held
-        self._folder, self._items_name = folder, items_name
-
-    def run(self, items: Sequence[Any], label: str) -> Steps[list[Any]]:
-        """Give the items to subprocesses; see `TaskPool.run`."""
-        with convert_os_errors(f'Cannot write in the folder "{self._folder}"'):
-            folder = Path(tempfile.mkdtemp(dir=self._folder))
-        replies = _Replies()
-
-        def command(shard: Shard[int]) -> list[str]:
-            request_path = folder / f"{len(replies.files)}.request"
-            with convert_os_errors(f'Cannot write "{request_path}"'):
-                request_path.write_text(json.dumps([items[index] for index in shard.items]), encoding="utf-8")
-            replies.files.append(_ReplyFile(request_path.with_suffix(".replies"), shard.items))
-            return self._command + file_arguments(request_path, replies.files[-1].path)
-
-        try:
-            slots = self._pool.executor.slots
-            shards = [
-                Shard(indices, self._held.path, self._pool.executor.workers_per_machine)
-                for indices in split_evenly(range(len(items)), slots, max(-(-len(items) // slots), 1))
-            ]
-            for missing_count in run_shards(self._pool, self._held, shards, replies, command, self._items_name):
-                yield Progress(1.0 - missing_count / max(len(items), 1), label)
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
-        return [replies.by_index[index] for index in range(len(items))]
-
-
-class _ReplyFile:
-    """The file in which a worker replies to the items with these indices, and how far it has been read."""
-
-    def __init__(self, path: Path, indices: list[int]) -> None:
-        self.path, self.indices = path, indices
-        self._position, self._count = 0, 0
-
-    def read_new(self) -> dict[int, Any]:
-        """Return the replies since the last call by the index of their item. The last line may be incomplete."""
-        if self._count == len(self.indices):
-            return {}
-        try:
-            with self.path.open("rb") as stream:
-                stream.seek(self._position)
-                content = stream.read()
-        except OSError:  # does not exist yet
-            return {}
-        lines = content.split(b"\n")[:-1]
-        indices = self.indices[self._count : self._count + len(lines)]
-        self._position += sum(len(line) + 1 for line in lines)
-        self._count += len(lines)
-        return {index: read_reply(line) for index, line in zip(indices, lines, strict=True)}
-
-
-class _Replies:
-    """The replies so far by the index of their item; `ItemFiles` of the indices."""
-
-    parts = 1
-
-    def __init__(self) -> None:
-        self.files: list[_ReplyFile] = []
-        self.by_index: dict[int, Any] = {}
-
-    def validate_or_remove(self, index: int) -> bool:
-        return index in self.by_index
-
-    def count_parts(self, indices: Sequence[int]) -> list[int]:
-        """Return 1 for each of `indices` that has a reply. Raises FarfieldError if one is an error."""
-        for file in self.files:
-            self.by_index |= file.read_new()
-        return [int(index in self.by_index) for index in indices]

@@ -65,7 +65,9 @@ class MaskSettings(Settings):
     has_flags: ClassVar[bool] = False
 
     mask: str = setting("image", "What marks the missing pixels", choices=MASKS)
-    mask_image: str = setting("", "Image of the same size that is bright where pixels are missing", used_if={"mask": ("image",)})
+    mask_image: str = setting(
+        "", "Image of the same size that is bright where pixels are missing", in_presets=False, used_if={"mask": ("image",)}
+    )
     threshold: float = setting(
         0.5,
         "Image: luminance above which a pixel of the mask marks a missing pixel. Alpha: alpha below which a pixel is missing",
@@ -77,8 +79,12 @@ class MaskSettings(Settings):
     color_tolerance: float = for_color(
         0.02, "Largest difference per channel from the color, 0 to 1", minimum=0.0, maximum=1.0, panel_label="Tolerance"
     )
-    source_mask: str = in_guides("", "Image that is bright where texture may be copied from; empty for everywhere outside the mask")
-    barriers: str = in_guides("", "Image that is bright where diffusion must not cross, for instance along edges; may be empty")
+    source_mask: str = in_guides(
+        "", "Image that is bright where texture may be copied from; empty for everywhere outside the mask", in_presets=False
+    )
+    barriers: str = in_guides(
+        "", "Image that is bright where diffusion must not cross, for instance along edges; may be empty", in_presets=False
+    )
     normal_map: bool = in_guides(
         False, "Treat the image as a normal map. Images that a Normal Map node uses are recognized without this option"
     )

@@ -1,11 +1,11 @@
 """Settings of the tool `texmesh`: what an artist sets, and research controls, which most levels need as they are.
 
-`TexmeshSettings` has both. Presets set all research controls.
+`TexmeshSettings` has both.
 """
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from ..settings import Choice, Settings, Unit, setting
 from .scale_space.features import SCALES
@@ -179,15 +179,6 @@ class ResearchSettings(AnalysisSettings):
 @dataclass(frozen=True, kw_only=True)
 class TexmeshSettings(LevelSettings, ResearchSettings):
     """All settings that levels depend on."""
-
-
-PRESETS: dict[str, tuple[Choice, dict[str, Any]]] = {  # what the research controls are; those that are not named have their defaults
-    "default": (Choice("Default", "Set all research controls to their defaults"), {}),
-    "paper": (
-        Choice("As in the Paper", "Find features in a range image, and remove vertices by their last scales alone"),
-        {"analysis": "range_image", "spacing": 0.0, "removal_order": "scale", "protected_fraction": 0.0},
-    ),
-}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -45,7 +45,10 @@ class UnwrapSettings(Settings):
         (0.0, -1.0, 0.0), "Direction from the surface to the viewer, in world space", used_if={"importance": ("direction", "gradual")}
     )
     vertex_group: str = setting(
-        "", "Vertex group that is painted where texels are needed. Empty uses the active one", used_if={"importance": ("vertex_group",)}
+        "",
+        "Vertex group that is painted where texels are needed. Empty uses the active one",
+        in_presets=False,
+        used_if={"importance": ("vertex_group",)},
     )
     density_ratio: float = setting(
         4.0,

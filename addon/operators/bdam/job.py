@@ -1,17 +1,26 @@
 """The job behind *Load* and *Update*."""
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import bpy
+import mathutils
+import numpy as np
 
 from ...bridge.bdam import objects as terrain_objects
 from ...bridge.bdam.objects import SceneTerrain, TerrainChange
+from ...bridge.viewers import describe_camera_range, extend_clipping
 from ...core.bdam.settings import ViewSettings
 from ...core.bdam.view.engine import BdamEngine, Update
 from ...core.errors import GeometryError
 from ...core.geometry.viewers import Viewer
 from ...core.jobs.progress import Progress, Steps
+from ...core.messages import join_sentences
 from ..engine_cache import cache
+from ..view_following import view_of_area
+
+VIEW_DISTANCE = 1.2  # relative to the size of the terrain
+ROTATION = mathutils.Euler((1.05, 0.0, 0.0))  # from the south, and down
 
 
 @dataclass
@@ -60,7 +69,52 @@ class ShowJob:
             pass
         cache.store(self.terrain, self.engine)
         message = f'"{self.terrain.name}": {core_result.figures.triangles:,} triangles in {core_result.figures.tiles} tiles.'
-        return " ".join([message, *core_result.warnings[:1]])
+        low, high = self.engine.bounds
+        reach = describe_camera_range(bpy.context.scene, float(np.linalg.norm(high - low))) if is_new else ""
+        return join_sentences([message, *core_result.warnings[:1], reach])
+
+
+def prepare_load(
+    scene: bpy.types.Scene,
+    directory: str,
+    settings: ViewSettings,
+    area: bpy.types.Area | None,
+    *,
+    is_relative: bool = True,
+    frame_view: bool = True,
+) -> ShowJob:
+    """Return the job that shows the terrain in the folder `directory` for a 3D Viewport.
+
+    is_relative: whether the scene stores the path relative to its file, if it has one. frame_view: whether the viewport shows all of it.
+
+    Raises:
+        FileError, SettingsError: the store cannot be read.
+    """
+    folder = terrain_objects.resolve_folder(directory, None, "The terrain")
+    path = terrain_objects.store_path(directory)
+    if is_relative and bpy.data.filepath:
+        with suppress(ValueError):  # on another drive
+            path = bpy.path.relpath(str(folder))
+    engine = BdamEngine(folder, settings)
+    if frame_view and area is not None:
+        frame_terrain(area.spaces.active, *engine.bounds, settings.exaggeration)
+    return ShowJob(engine, view_of_area(scene, area), path)
+
+
+def frame_terrain(space: bpy.types.SpaceView3D, low: np.ndarray, high: np.ndarray, exaggeration: float) -> None:
+    """Let a 3D Viewport show a terrain between two corners (3,) of its bounding box, and extend its clipping range.
+
+    A view through the camera stays as it is.
+    """
+    scale = np.array([1.0, 1.0, exaggeration])
+    center, size = 0.5 * (low + high) * scale, float(np.linalg.norm((high - low) * scale))
+    extend_clipping(space, size)
+    region = space.region_3d
+    if region.view_perspective == "CAMERA":
+        return
+    region.view_location, region.view_distance = center.tolist(), VIEW_DISTANCE * float((high - low)[:2].max())
+    region.view_rotation = ROTATION.to_quaternion()
+    region.update()
 
 
 def prepare_update(terrain: SceneTerrain, settings: ViewSettings, viewer: Viewer) -> ShowJob:

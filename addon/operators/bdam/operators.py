@@ -1,10 +1,8 @@
 """Operators of the tool `bdam` in the scene: load a terrain, update it, let it follow the view, remove it."""
 
-from contextlib import suppress
+from pathlib import Path
 
 import bpy
-import mathutils
-import numpy as np
 
 from ...bridge.bdam import objects as terrain_objects
 from ...bridge.bdam.objects import SceneTerrain, TerrainChange
@@ -14,21 +12,19 @@ from ...core.errors import FileError
 from .. import follow_handlers, properties, start_job
 from ..engine_cache import cache
 from ..error_reports import report_message, reports_errors
+from ..file_browser import open_file_browser, remember_folder
 from ..follow_tools import FollowTool
 from ..following import disabled_reason
 from ..long_work import poll_with_reason
+from ..properties import absolute_path
 from ..view_following import ActiveTerrainOperator, FollowViewOperator, context_viewport, view_of_area
-from .job import ShowJob, prepare_update
-
-MIN_CLIP_END = 4.0  # relative to the size of the terrain
-MIN_CLIP_START = 2e-6  # relative to the end of the clipping range: nearer surfaces of far terrain would flicker
-VIEW_DISTANCE = 1.2  # relative to the size of the terrain
-ROTATION = mathutils.Euler((1.05, 0.0, 0.0))  # from the south, and down
+from .job import ShowJob, prepare_load, prepare_update
 
 
 class FARFIELD_PG_bdam_view(bpy.types.PropertyGroup):
     """How terrains are shown, stored per scene."""
 
+    settings_types = (ViewSettings,)
     __annotations__ = properties.build_annotations(ViewSettings, set())
 
 
@@ -58,24 +54,17 @@ class FARFIELD_OT_bdam_load(start_job.StartJob, bpy.types.Operator):
 
     @reports_errors
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Open the file browser."""
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
+        """Open the file browser, for the first time next to the store that was built last."""
+        store = context.scene.farfield_bdam_build.store
+        return open_file_browser(self, context, folder=absolute_path(store).parent if store else None)
 
     def prepare(self, context: bpy.types.Context) -> ShowJob:
         """Open the store and read the view."""
         if not self.directory:
             raise FileError("No folder is given; choose the folder of a terrain.")
-        folder = terrain_objects.resolve_folder(self.directory, None, "The terrain")
-        path = terrain_objects.store_path(self.directory)
-        if self.use_relative_path and bpy.data.filepath:
-            with suppress(ValueError):  # on another drive
-                path = bpy.path.relpath(str(folder))
-        engine = BdamEngine(folder, self.read_settings(context)[ViewSettings])
-        area = context_viewport(context)
-        if self.frame_view and area is not None:
-            frame_terrain(area.spaces.active, *engine.bounds, engine.settings.exaggeration)
-        return ShowJob(engine, view_of_area(context.scene, area), path)
+        remember_folder(self, context, Path(bpy.path.abspath(self.directory)))
+        settings, area = self.read_settings(context)[ViewSettings], context_viewport(context)
+        return prepare_load(context.scene, self.directory, settings, area, is_relative=self.use_relative_path, frame_view=self.frame_view)
 
 
 class FARFIELD_OT_bdam_update(ActiveTerrainOperator, start_job.StartJob, bpy.types.Operator):
@@ -125,24 +114,6 @@ class FARFIELD_OT_bdam_remove(ActiveTerrainOperator, bpy.types.Operator):
         cache.evict_missing()
         report_message(self, f'"{name}" was removed.')
         return {"FINISHED"}
-
-
-def frame_terrain(space: bpy.types.SpaceView3D, low: np.ndarray, high: np.ndarray, exaggeration: float) -> None:
-    """Let a 3D Viewport show a terrain between two corners (3,) of its bounding box, and extend its clipping range.
-
-    In Solid shading it no longer outlines objects, which would draw lines between tiles. A view through the camera stays as it is.
-    """
-    space.shading.show_object_outline = False
-    scale = np.array([1.0, 1.0, exaggeration])
-    center, size = 0.5 * (low + high) * scale, float(np.linalg.norm((high - low) * scale))
-    space.clip_end = max(space.clip_end, MIN_CLIP_END * size)
-    space.clip_start = max(space.clip_start, MIN_CLIP_START * space.clip_end)
-    region = space.region_3d
-    if region.view_perspective == "CAMERA":
-        return
-    region.view_location, region.view_distance = center.tolist(), VIEW_DISTANCE * float((high - low)[:2].max())
-    region.view_rotation = ROTATION.to_quaternion()
-    region.update()
 
 
 class BdamFollowTool(FollowTool):

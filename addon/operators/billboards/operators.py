@@ -1,6 +1,7 @@
 """Operators of the tool `billboards`: build clouds, estimate them, show clouds or sources, select levels for the camera, cross-fade."""
 
 from collections.abc import Callable
+from functools import partial
 
 import bpy
 
@@ -8,9 +9,11 @@ from ...bridge import cameras
 from ...bridge.billboards import clouds
 from ...bridge.billboards.scene_clouds import SceneCloud, clouds_in, clouds_of_levels, find_cloud
 from ...bridge.geometry.meshes import may_have_surface
+from ...bridge.units import format_length
 from ...core.billboards.settings import BillboardSettings, BuildOptions, CrossfadeSettings
 from .. import long_work, properties, start_job
 from ..error_reports import report_message, reports_errors
+from ..view_following import show_textures, viewport_address
 from .estimates import cache, estimate_key
 from .job import BillboardJob, describe_counts, prepare_job
 from .sources import describe_exceptions, missing_original_message, quote_clouds
@@ -25,6 +28,7 @@ SHOW_ITEMS = [
 class FARFIELD_PG_billboards(bpy.types.PropertyGroup):
     """Settings of the panel *Billboard Cloud*, stored per scene."""
 
+    settings_types = (BillboardSettings, BuildOptions, CrossfadeSettings)
     __annotations__ = {
         name: annotation
         for settings_type in (BillboardSettings, BuildOptions, CrossfadeSettings)
@@ -64,6 +68,10 @@ class FARFIELD_OT_billboards_build(start_job.StartJob, bpy.types.Operator):
         """Read the selected objects, and the originals of selected clouds."""
         settings = self.read_settings(context)
         return prepare_job(context, context.selected_objects, settings[BillboardSettings], settings[BuildOptions])
+
+    def prepare_follow_up(self, context: bpy.types.Context) -> Callable[[], None]:
+        """Return what lets the Solid view show the textures of quads, instead of the quads."""
+        return partial(show_textures, viewport_address(context))
 
 
 class FARFIELD_OT_billboards_estimate(bpy.types.Operator):
@@ -130,13 +138,20 @@ class FARFIELD_OT_billboards_show(bpy.types.Operator):
 
 
 class FARFIELD_OT_billboards_crossfade(bpy.types.Operator):
-    """Cross-fade the levels of every billboard cloud and its original as the active camera moves. All levels render, and their materials
-    are transparent where another level shows"""
+    """Cross-fade the levels of billboard clouds and their originals as the active camera moves, or end it. All levels render then, and
+    their materials are transparent where another level shows"""
 
     bl_idname = "farfield.billboards_crossfade"
     bl_label = "Cross-Fade Billboard Levels"
     bl_options = {"REGISTER", "UNDO"}
-    __annotations__ = properties.build_annotations(CrossfadeSettings, {"SKIP_SAVE"})
+    __annotations__ = properties.build_annotations(CrossfadeSettings, {"SKIP_SAVE"}) | {
+        "enable": bpy.props.BoolProperty(
+            name="Enable", description="Cross-fade. When off, show one level for the active camera", default=True, options={"SKIP_SAVE"}
+        ),
+        "selected": bpy.props.BoolProperty(
+            name="Selected", description="Only the clouds of selected objects, instead of all of the scene", options={"SKIP_SAVE"}
+        ),
+    }
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -145,15 +160,22 @@ class FARFIELD_OT_billboards_crossfade(bpy.types.Operator):
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Add a cross-fade to every cloud of the scene."""
+        """Add a cross-fade to the clouds, or remove it."""
         properties.fill_unset(CrossfadeSettings, self, context.scene.farfield_billboards)
         fade_range = properties.read(CrossfadeSettings, self).fade_range
-        scene_clouds, refused = _split(clouds_in(context.scene), lambda cloud: cloud.can_crossfade)
+        wanted = selected_clouds(context) if self.selected else clouds_in(context.scene)
+        scene_clouds, refused = _split(wanted, lambda cloud: cloud.can_crossfade and (self.enable or cloud.has_crossfade))
+        context.view_layer.update()
+        camera = cameras.read_scene_camera(context.scene)
         for cloud in scene_clouds:
-            cloud.add_crossfade(context, fade_range)
+            if self.enable:
+                cloud.add_crossfade(context, fade_range)
+            else:
+                cloud.show_level_for(camera, context.view_layer)
             cloud.activate_visible(context)
-        exceptions = describe_exceptions(scene_clouds, refused, context.view_layer)
-        message = f"Cross-fading for the active camera: {quote_clouds(scene_clouds)}." if scene_clouds else "Nothing changed."
+        exceptions = describe_exceptions(scene_clouds, refused if self.enable else [], context.view_layer)
+        what = "Cross-fading for the active camera" if self.enable else "One level for the active camera"
+        message = f"{what}: {quote_clouds(scene_clouds)}." if scene_clouds else "Nothing changed."
         report_message(self, f"{message} {exceptions}".strip(), "WARNING" if exceptions else "INFO")
         return {"FINISHED" if scene_clouds else "CANCELLED"}
 
@@ -181,9 +203,10 @@ class FARFIELD_OT_billboards_show_level(bpy.types.Operator):
         for cloud in scene_clouds:
             level = cloud.show_level_for(camera, context.view_layer)
             cloud.activate_visible(context)
-            shown.append(f'"{cloud.collection.name}" {"original" if level is None else f"level {level}"}')
+            near = f"original, nearer than {format_length(context.scene, camera.switch_distance(cloud.errors[0]))}"
+            shown.append(f'"{cloud.collection.name}" {near if level is None else f"level {level}"}')
         exceptions = describe_exceptions(scene_clouds, refused, context.view_layer)
-        message = f"Shown: {', '.join(shown)}." if shown else "Nothing changed."
+        message = f"Shown: {'; '.join(shown)}." if shown else "Nothing changed."
         report_message(self, f"{message} {exceptions}".strip(), "WARNING" if exceptions else "INFO")
         return {"FINISHED" if shown else "CANCELLED"}
 

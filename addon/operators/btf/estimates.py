@@ -15,8 +15,8 @@ from ...core.btf.capture.shards import ShardStore
 from ...core.btf.estimate import BakeEstimate, LevelExtent, estimate_bake, image_resolution
 from ...core.btf.settings import BtfSettings
 from ...core.errors import FileError, SettingsError
-from ...core.files.user_folders import user_cache_folder
 from ...core.jobs.executors import parse_executor
+from ..user_cache import cache_folder
 
 
 class EstimateCache:
@@ -37,10 +37,8 @@ class EstimateCache:
             SettingsError: if the executor does not exist.
         """
         self._evict_deleted()
-        spec = parse_executor(settings.executor)
-        # A panel must not wait for a scheduler, so the number of its workers is not queried.
-        workers = spec.processes if spec.scheduler is None else 1
-        return estimate_bake(self._level_extents(cloud), settings, workers, self._pace(cloud))
+        processes = parse_executor(settings.executor).processes
+        return estimate_bake(self._level_extents(cloud), settings, processes, self._pace(cloud))
 
     def remember_pace(self, cloud: SceneCloud, settings: BtfSettings, seconds: float) -> None:
         """Use the measured duration of a complete bake for later estimates."""
@@ -73,17 +71,6 @@ class EstimateCache:
 cache = EstimateCache()
 
 
-def cache_folder() -> Path:
-    """Return the folder of the user for finished views of all bakes: that of the extension, or in a checkout the user's cache.
-
-    Raises:
-        FileError: the user has no folder for caches.
-    """
-    package = __package__.partition(".addon.")[0]
-    is_extension = package.startswith("bl_ext.")
-    return (Path(bpy.utils.extension_path_user(package)) if is_extension else user_cache_folder()) / "btf"
-
-
 def capture_folder(cloud: SceneCloud, settings: BtfSettings) -> Path:
     """Return the folder for finished views of a bake until it ends. It is unique per cloud and per set of renders.
 
@@ -92,7 +79,7 @@ def capture_folder(cloud: SceneCloud, settings: BtfSettings) -> Path:
     """
     errors = " ".join(f"{error:.9g}" for error in cloud.errors)
     key = f"{cloud.collection.get(clouds.FINGERPRINT, '')} {errors} {settings.capture_fingerprint}"
-    return cache_folder() / hashlib.sha256(key.encode()).hexdigest()[:16]
+    return cache_folder("btf") / hashlib.sha256(key.encode()).hexdigest()[:16]
 
 
 def count_finished_views(cloud: SceneCloud, settings: BtfSettings) -> int:

@@ -4,10 +4,11 @@ from pathlib import Path
 
 import bpy
 
-from ...bridge.scene_paths import default_folder
 from ...core.btf.settings import ExportSettings
+from ...core.files.filenames import safe_filename
 from .. import long_work, properties
 from ..error_reports import reports_errors
+from ..file_browser import open_file_browser, remember_folder
 from .export_job import FMF, FORMATS, BtfExportJob, prepare_export
 from .operators import active_cloud, not_baked_reason
 
@@ -34,17 +35,16 @@ class FARFIELD_OT_btf_export(long_work.LongWork, bpy.types.Operator):
 
     def prepare(self, context: bpy.types.Context) -> BtfExportJob:
         """Read the textures of all levels."""
-        settings = properties.read(ExportSettings, self)
-        return prepare_export(active_cloud(context).levels, Path(bpy.path.abspath(self.filepath)), settings)
+        path = Path(bpy.path.abspath(self.filepath))
+        remember_folder(self, context, path)
+        return prepare_export(active_cloud(context).levels, path, properties.read(ExportSettings, self))
 
     @reports_errors
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Open the file browser; if a file is given, start the job."""
         if self.filepath:
             return super().invoke(context, event)
-        self.filepath = str(default_folder() / (bpy.path.clean_name(active_cloud(context).collection.name) + FMF))
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
+        return open_file_browser(self, context, safe_filename(active_cloud(context).collection.name) + FMF)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:

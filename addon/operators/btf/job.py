@@ -42,7 +42,7 @@ from ...core.files.user_folders import open_private_folder
 from ...core.geometry.cameras import OrthographicView
 from ...core.jobs import heartbeat
 from ...core.jobs.dispatch import Shard
-from ...core.jobs.executors import check_executor
+from ...core.jobs.executors import Executor, LocalExecutor, parse_executor
 from ...core.jobs.progress import StageClock, Steps, subprogress
 from . import estimates
 
@@ -91,6 +91,7 @@ class BakeJob:
         collection_uid: Its session UID, since the user may rename it.
         fingerprint: Fingerprint of the source.
         settings: Settings of the bake.
+        executor: Where views are rendered.
         levels: Levels to bake.
         folder: Folder for finished views.
         run: The run that writes there.
@@ -108,6 +109,7 @@ class BakeJob:
     collection_uid: int
     fingerprint: str
     settings: BtfSettings
+    executor: Executor
     levels: list[LevelBake]
     folder: Path
     run: CaptureRun
@@ -123,7 +125,7 @@ class BakeJob:
         """Let worker processes capture missing views, then compress.
 
         Raises:
-            FarfieldError: if the executor does not exist or workers fail; see `render_missing_views`.
+            FarfieldError: if workers fail; see `render_missing_views`.
         """
         with closing(self.run):
             with self.clock.stage("capture"):
@@ -142,7 +144,8 @@ class BakeJob:
         """
         yield from ()
         cloud = self._find_cloud()
-        if self._rendered_count == self.settings.view_count * len(self.levels):
+        is_complete = self._rendered_count == self.settings.view_count * len(self.levels)
+        if is_complete and isinstance(self.executor, LocalExecutor):  # Estimates are of bakes on this machine.
             estimates.cache.remember_pace(cloud, self.settings, sum(self.clock.seconds.values()))
         with self.clock.stage("assign"):
             for level_object, baked in zip(cloud.levels, core_result, strict=True):
@@ -160,7 +163,7 @@ class BakeJob:
     def _capture(self) -> Steps[int]:
         """Let worker processes capture missing views; return their number."""
         stores = [level.store for level in self.levels]
-        return render_missing_views(self.run.heartbeat, stores, len(self.settings.view_grid), self.settings.executor, self._shard_command)
+        return render_missing_views(self.run.heartbeat, stores, len(self.settings.view_grid), self.executor, self._shard_command)
 
     def _shard_command(self, shard: Shard[int]) -> list[str]:
         return btf_worker.shard_command(self.folder, self.run.snapshot_folder, shard, run_drivers=self.run_drivers)
@@ -225,20 +228,25 @@ class BakeJob:
 
 
 def prepare_bake(
-    context: bpy.types.Context, cloud: SceneCloud, settings: BtfSettings, work_folder: Path | None, keep_finished_views: bool
+    context: bpy.types.Context,
+    cloud: SceneCloud,
+    settings: BtfSettings,
+    work_folder: Path | None,
+    keep_finished_views: bool,
+    executor: Executor | None = None,
 ) -> BakeJob:
     """Prepare the bake of `cloud`. Its source objects must be unchanged since the cloud was built; see `BakeJob`.
 
     work_folder: for finished views; None for a temporary one that is deleted with the job. All input of the workers is written there now.
+    executor: where views are rendered; that of the settings if it is None.
 
     Raises:
         GeometryError: if a source object was removed or edited, or an older version of Farfield built the cloud.
         FileError: if an image file of a material is missing, or the folder belongs to another bake or cannot be written.
         SettingsError: see `BtfSettings.check_table_size`; or if the executor does not exist.
-        FarfieldError: no Dask scheduler answers, see `check_executor`.
     """
     settings.check_table_size()
-    check_executor(settings.executor)
+    executor = parse_executor(settings.executor) if executor is None else executor
     check_editable(cloud)
     name = cloud.collection.name
     source_objects, missing = cloud.sources, cloud.missing_source_names
@@ -272,6 +280,7 @@ def prepare_bake(
         collection_uid=cloud.collection.session_uid,
         fingerprint=source.fingerprint,
         settings=settings,
+        executor=executor,
         levels=levels,
         folder=folder,
         run=run,

@@ -9,11 +9,10 @@ from ...bridge.btf.levels.level_checks import is_editable
 from ...bridge.btf.materials.emission_material import SUNS
 from ...core.btf.capture.capture_run import remove_expired
 from ...core.btf.settings import BtfSettings
-from ...core.errors import SettingsError
 from ...core.files.user_folders import open_private_folder
-from ...core.jobs.executors import parse_executor
 from .. import long_work, properties, start_job
 from ..error_reports import report_message, reports_errors
+from ..user_cache import cache_folder
 from . import estimates
 from .job import BakeJob, prepare_bake
 
@@ -30,6 +29,7 @@ def _is_sun(_group: bpy.types.PropertyGroup, item: bpy.types.Object) -> bool:
 class FARFIELD_PG_btf(bpy.types.PropertyGroup):
     """Settings of the panel *Relightable Textures*, stored per scene."""
 
+    settings_types = (BtfSettings,)
     __annotations__ = (
         properties.build_annotations(BtfSettings, set())
         | {
@@ -65,13 +65,8 @@ class FARFIELD_OT_btf_bake(start_job.StartJob, bpy.types.Operator):
     def prepare(self, context: bpy.types.Context) -> BakeJob:
         """Read the source objects of the active cloud. Finished views are kept in a folder of the user until it ends."""
         settings = self.read_settings(context)[BtfSettings]
-        if parse_executor(settings.executor).uses_network and not bpy.app.online_access:
-            raise SettingsError(
-                f'Executor "{settings.executor}" uses the network; enable Allow Online Access in the preferences or choose processes.',
-                ("executor",),
-            )
         cloud = active_cloud(context)
-        cache = estimates.cache_folder()
+        cache = cache_folder("btf")
         open_private_folder(cache)
         remove_expired(cache)
         return prepare_bake(context, cloud, settings, estimates.capture_folder(cloud, settings), keep_finished_views=False)

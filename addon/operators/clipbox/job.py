@@ -12,6 +12,7 @@ from ...bridge.clipbox.materials import GroundImage, create_terrain_material
 from ...bridge.clipbox.objects import SceneTerrain
 from ...bridge.clipbox.sources import absolute_path
 from ...bridge.imaging.image_files import check_openexr
+from ...bridge.viewers import describe_camera_range
 from ...core.clipbox.engine import NO_SURFACE, TerrainEngine, Update, check_viewer
 from ...core.clipbox.files.readers import BLEND_PREFIX, check_path
 from ...core.clipbox.layout import choose_terrain_origin
@@ -19,7 +20,7 @@ from ...core.clipbox.settings import ClipboxSettings
 from ...core.errors import GeometryError
 from ...core.files.file_access import check_readable
 from ...core.jobs.progress import Progress, Steps, subprogress
-from ...core.messages import format_count
+from ...core.messages import format_count, join_sentences, quote_names
 from ..engine_cache import cache
 
 HEIGHT_PERCENTILES = 10, 90  # percentiles of the heights of vertices between which most ground has the color of grass
@@ -63,6 +64,8 @@ class TerrainJob:
         yield Progress(0.99, "Showing meshes")
         pending.check()
         ground_image = find_ground_image(settings, origin)
+        is_rebuilt = self.terrain is not None
+        others = [] if is_rebuilt else SceneTerrain.in_scene(bpy.context.scene)
         if self.terrain is None:
             self.terrain = terrain_objects.create_root(bpy.context.scene, settings, self.viewer, origin)
             self.terrain.select(bpy.context.view_layer)
@@ -77,7 +80,10 @@ class TerrainJob:
         self.update = core_result
         triangles = sum(len(mesh.triangles) for mesh in core_result.meshes.values())
         summary = f'"{self.terrain.name}": {format_count(triangles, "triangle")} in {format_count(settings.boxes, "box")}.'
-        return " ".join([summary, *self.engine.warnings])
+        size = settings.voxel_size * settings.resolution * 2 ** (settings.boxes - 1)
+        reach = "" if is_rebuilt else describe_camera_range(bpy.context.scene, size)
+        kept = [f"It is in addition to {quote_names(terrain.name for terrain in others)}, which Update changes."] if others else []
+        return join_sentences([summary, *kept, *self.engine.warnings, reach])
 
 
 def prepare(settings: ClipboxSettings, viewer: np.ndarray, terrain: SceneTerrain | None = None) -> TerrainJob:

@@ -1,11 +1,13 @@
 """Operators of the tool `clipbox`: create and update a terrain, and let it follow the view."""
 
 import bpy
+import mathutils
 import numpy as np
 
 from ...bridge.clipbox import objects as terrain_objects
 from ...bridge.clipbox import sources
 from ...bridge.clipbox.objects import PendingBlocks, SceneTerrain
+from ...bridge.viewers import extend_clipping
 from ...core.clipbox.blocks import BlockMesh
 from ...core.clipbox.engine import BlockKey, TerrainEngine, Update
 from ...core.clipbox.settings import ClipboxSettings
@@ -16,10 +18,14 @@ from ..following import disabled_reason
 from ..view_following import ActiveTerrainOperator, FollowViewOperator, context_viewport, view_of_area
 from .job import TerrainJob, prepare
 
+VIEW_DISTANCE = 1.0  # from the eye to the pivot, relative to the innermost box
+ROTATION = mathutils.Euler((1.25, 0.0, 0.0))  # to the north, and a little down
+
 
 class FARFIELD_PG_clipbox(bpy.types.PropertyGroup):
     """Settings of the panel *Clip-Box Terrain*, stored per scene."""
 
+    settings_types = (ClipboxSettings,)
     __annotations__ = properties.build_annotations(ClipboxSettings, set())
 
 
@@ -30,13 +36,23 @@ class FARFIELD_OT_clipbox_create(start_job.StartJob, bpy.types.Operator):
     bl_label = "Create Clip-Box Terrain"
     bl_options = {"REGISTER", "UNDO"}
     settings_types, panel_property = (ClipboxSettings,), "farfield_clipbox"
-    __annotations__ = start_job.setting_properties(*settings_types)
+    __annotations__ = start_job.setting_properties(*settings_types) | {
+        "frame_view": bpy.props.BoolProperty(
+            name="Frame Terrain",
+            description="Look over the terrain in this 3D Viewport, from above the ground if the view is in it; extend its clipping range, "
+            "and outline no objects",
+            default=True,
+        )
+    }
 
     disabled_reason = staticmethod(disabled_reason)
 
     def prepare(self, context: bpy.types.Context) -> TerrainJob:
         """Read the settings and the viewer position."""
-        return prepare(self.read_settings(context)[ClipboxSettings], viewer_position(context))
+        job, area = prepare(self.read_settings(context)[ClipboxSettings], viewer_position(context)), context_viewport(context)
+        if self.frame_view and area is not None:
+            job.viewer = frame_terrain(area.spaces.active, job)
+        return job
 
 
 class FARFIELD_OT_clipbox_update(ActiveTerrainOperator, start_job.StartJob, bpy.types.Operator):
@@ -66,6 +82,21 @@ class FARFIELD_OT_clipbox_follow_view(FollowViewOperator, bpy.types.Operator):
 def viewer_position(context: bpy.types.Context) -> np.ndarray:
     """Return the position (3,) float64 of the viewer in world space: of the 3D Viewport under the pointer, or of the first one."""
     return view_of_area(context.scene, context_viewport(context)).position
+
+
+def frame_terrain(space: bpy.types.SpaceView3D, job: TerrainJob) -> np.ndarray:
+    """Let a 3D Viewport show a new terrain: look down from its position, or from above if that is in the ground. A view through the camera
+    only gets a larger clipping range. Returns the position (3,) of the viewer."""
+    settings, region = job.settings, space.region_3d
+    extend_clipping(space, settings.voxel_size * settings.resolution * 2 ** (settings.boxes - 1))
+    if region.view_perspective == "CAMERA":
+        return job.viewer
+    position = job.engine.find_clearing(job.viewer)
+    rotation, distance = ROTATION.to_quaternion(), VIEW_DISTANCE * settings.voxel_size * settings.resolution
+    region.view_perspective, region.view_rotation, region.view_distance = "PERSP", rotation, distance
+    region.view_location = (position - distance * np.array(rotation @ mathutils.Vector((0.0, 0.0, 1.0)))).tolist()
+    region.update()
+    return position
 
 
 class TerrainChange:

@@ -250,7 +250,7 @@ def _assemble(
     candidates = [candidate for candidate, _ in combined]
     candidates += [LevelCandidate(count_triangles(level.data), error) for level, error in quads]
     levels = []
-    for index, pixel_size in choose_levels(candidates, settings.max_error):
+    for index in choose_levels(candidates):
         if index < len(combined):
             indices = combined[index][1]
             objects = [_create_object(part, number) for part, number in zip(parts, indices, strict=True)]
@@ -261,7 +261,7 @@ def _assemble(
                 collection.objects.unlink(level)
         for item, _ in objects:
             item.name = f"{asset.name} Level {len(levels)}"
-        levels.append(NewLevel(objects, pixel_size, candidates[index].triangles))
+        levels.append(NewLevel(objects, candidates[index].pixel_size, candidates[index].triangles))
     return create_chain(asset.name, fingerprint, levels, (asset.low, asset.high), settings.fade_range)
 
 

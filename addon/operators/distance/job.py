@@ -12,34 +12,17 @@ from ...bridge.distance.assets import Asset, AssetSearch
 from ...bridge.distance.chains import Chain, read_chains
 from ...bridge.distance.fingerprints import fingerprint
 from ...bridge.distance.placing import attach_chain, clean_up, describe_bounces, detach, originals_shown, with_placements
+from ...bridge.distance.views import read_views
 from ...bridge.objects import find_by_uid
-from ...core.distance.settings import DistanceSettings
+from ...core.distance.settings import AssetOptions, DistanceSettings
 from ...core.errors import GeometryError
 from ...core.jobs.progress import Progress, Steps, subprogress
 from ...core.messages import format_count, join_sentences, list_first, quote_names
+from .analysis import read_options
+from .budgets import Budget
 from .build import build_chain
 
 ATTACH_FRACTION = 0.98
-
-
-@dataclass(frozen=True)
-class Plan:
-    """The work on an asset.
-
-    Attributes:
-        name: of the asset.
-        places: their number.
-        triangles: at all places together.
-        nearest, farthest: distance of a place from the active camera; 0 without a camera.
-        outcome: "build", "ready" for levels that are found again, or "stays".
-    """
-
-    name: str
-    places: int
-    triangles: int
-    nearest: float
-    farthest: float
-    outcome: str
 
 
 @dataclass
@@ -50,9 +33,11 @@ class DistanceJob:
         scene_uid: the scene.
         object_uids: the objects that are made ready.
         settings: of the levels.
+        options: what differs for an object or collection, by session UID.
         skipped: names of the objects that are left out, with the reason.
         chains: the levels of each asset, the number of its places, and whether they were found rather than made.
         remarks: sentences about what could not be made.
+        other_triangles: of the assets that stay as they are, at all places.
     """
 
     core_fraction = 0.0
@@ -60,9 +45,11 @@ class DistanceJob:
     scene_uid: int
     object_uids: list[int]
     settings: DistanceSettings
+    options: dict[int, AssetOptions] = field(default_factory=dict)
     skipped: list[str] = field(default_factory=list)
     chains: list[tuple[Chain, int, bool]] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
+    other_triangles: int = 0
 
     def core_steps(self) -> Steps[None]:
         """Do nothing: levels are made one asset after the other, each with renders of its own."""
@@ -81,9 +68,10 @@ class DistanceJob:
         if scene is None or len(objects) < len(uids):
             raise GeometryError("The scene or an object was removed; start again.")
         view_layer = bpy.context.view_layer if bpy.context.scene == scene else scene.view_layers[0]
+        views = read_views(scene)
         with originals_shown(scene, view_layer) as depsgraph:
             assets = self._find_assets(scene, objects, depsgraph)
-            keys = [fingerprint(asset, depsgraph, self.settings) for asset in assets]
+            keys = [fingerprint(asset, depsgraph, self._settings_of(asset)) for asset in assets]
         known = {chain.fingerprint: chain for chain in read_chains()}
         reused = set(known)
         work = np.cumsum([0.0, *(float(asset.triangles) ** 0.5 * (key not in known) for asset, key in zip(assets, keys, strict=True))])
@@ -91,39 +79,55 @@ class DistanceJob:
         for index, (asset, key) in enumerate(zip(assets, keys, strict=True)):
             if key not in known:
                 prefix = f"{asset.name} ({index + 1} of {len(assets)}): "
-                steps = build_chain(asset, key, self.settings, self.remarks)
+                steps = build_chain(asset, key, self._settings_of(asset), self.remarks)
                 known[key] = yield from subprogress(steps, *fractions[index : index + 2], prefix)
         yield Progress(ATTACH_FRACTION, "Adding modifiers")
-        self._attach(scene, objects, [(asset, known[key]) for asset, key in zip(assets, keys, strict=True)])
+        chains = [(asset, known[key]) for asset, key in zip(assets, keys, strict=True)]
+        budget = Budget(self.settings, [(asset, chain, self._options_of(asset).error_factor) for asset, chain in chains], views)
+        max_error = budget.find_error(self.other_triangles)
+        figures = budget.describe(max_error, self.other_triangles)  # Before levels that nothing shows are removed.
+        self._attach(scene, objects, chains, max_error)
         self.chains = [(known[key], len(asset.matrices), key in reused) for asset, key in zip(assets, keys, strict=True)]
-        return self._summary(scene, assets)
+        return self._summary(scene, figures)
+
+    def _options_of(self, asset: Asset) -> AssetOptions:
+        return self.options.get(asset.source.session_uid, AssetOptions())
+
+    def _settings_of(self, asset: Asset) -> DistanceSettings:
+        return self._options_of(asset).adjust(self.settings)
 
     def _find_assets(self, scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> list[Asset]:
         search = AssetSearch(scene, depsgraph)
         found = search.find(objects)
         self.skipped += search.skipped
-        heavy = [asset for asset in found if asset.triangles >= self.settings.min_triangles]
-        if not heavy:
-            small = f"{format_count(len(found), 'object')} with too few triangles" if found else ""
-            reasons = "; ".join(filter(None, [small, list_first(self.skipped)])) or "there is no object with a surface"
+        small = [asset for asset in found if asset.triangles < self.settings.min_triangles]
+        kept = [asset for asset in found if asset not in small and self._options_of(asset).method == "original"]
+        self.skipped += [f"{asset.name} (its method is Original)" for asset in kept]
+        self.other_triangles = sum(asset.triangles * len(asset.matrices) for asset in [*small, *kept])
+        if len(small) + len(kept) == len(found):
+            too_small = f"{format_count(len(small), 'object')} with too few triangles" if small else ""
+            reasons = "; ".join(filter(None, [too_small, list_first(self.skipped)])) or "there is no object with a surface"
             raise GeometryError(f"Nothing to make ready: {reasons}. Select other objects, or lower Min Triangles.")
-        return heavy
+        return [asset for asset in found if asset not in small and asset not in kept]
 
-    def _attach(self, scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], found: Sequence[tuple[Asset, Chain]]) -> None:
+    def _attach(
+        self, scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], found: Sequence[tuple[Asset, Chain]], max_error: float
+    ) -> None:
         detach(with_placements(scene, objects))
         for asset, chain in found:
             if len(chain.collections) > 1:
-                attach_chain(asset, chain, scene, self.settings.fade_range)
+                attach_chain(asset, chain, scene, self.settings.fade_range, max_error * self._options_of(asset).error_factor)
         clean_up(scene)
+        if hasattr(scene, "farfield_distance"):  # Scripts may run without the panels.
+            scene.farfield_distance.figures = ""
 
-    def _summary(self, scene: bpy.types.Scene, assets: Sequence[Asset]) -> str:
+    def _summary(self, scene: bpy.types.Scene, figures: str) -> str:
         ready = [chain for chain, _, _ in self.chains if len(chain.collections) > 1]
         places = sum(count for chain, count, _ in self.chains if len(chain.collections) > 1)
-        triangles = sum(asset.triangles * len(asset.matrices) for asset in assets)
         alone = [chain.name for chain, _, _ in self.chains if len(chain.collections) == 1]
         sentences = [
             f"Distance-ready: {format_count(len(ready), 'object')} at {format_count(places, 'place')}.",
-            f"In full, all places have {triangles:,} triangles.",
+            figures,
             "" if read_scene_camera(scene) is not None else "Add a camera: without one, all places show the original.",
             f"No lighter levels were found for {quote_names(alone[:3])}." if alone else "",
             describe_bounces(scene),
@@ -144,29 +148,7 @@ def prepare(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], setting
     if not objects:
         raise GeometryError("There is no visible object with a surface; add one.")
     objects = with_placements(scene, objects)
-    return DistanceJob(scene.session_uid, [item.session_uid for item in objects], settings)
-
-
-def analyze(
-    scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, objects: Sequence[bpy.types.Object], settings: DistanceSettings
-) -> tuple[list[Plan], list[str]]:
-    """Return what would be done with each asset of `objects`, heaviest first, and the names of those that are left out, with the reason."""
-    camera = read_scene_camera(scene)
-    with originals_shown(scene, view_layer) as depsgraph:
-        search = AssetSearch(scene, depsgraph)
-        assets = search.find(with_placements(scene, objects))
-        known = {chain.fingerprint for chain in read_chains()}
-        plans = []
-        for asset in assets:
-            outcome = "stays"
-            if asset.triangles >= settings.min_triangles:
-                outcome = "ready" if fingerprint(asset, depsgraph, settings) in known else "build"
-            distances = np.zeros(1)
-            if camera is not None:
-                distances = np.linalg.norm(asset.positions[0] - camera.position, axis=1)
-            total = asset.triangles * len(asset.matrices)
-            plans.append(Plan(asset.name, len(asset.matrices), total, float(distances.min()), float(distances.max()), outcome))
-    return sorted(plans, key=lambda plan: -plan.triangles), search.skipped
+    return DistanceJob(scene.session_uid, [item.session_uid for item in objects], settings, read_options(scene))
 
 
 def describe_chain(chain: Chain, places: int, is_reused: bool) -> dict[str, Any]:

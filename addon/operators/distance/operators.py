@@ -1,8 +1,5 @@
 """Operators of the tool `distance`: analyze a scene, make it ready for any distance, show the originals, remove the levels."""
 
-import json
-from dataclasses import asdict
-
 import bpy
 
 from ...bridge.distance.assets import visible_objects
@@ -11,15 +8,20 @@ from ...core.distance.settings import DistanceSettings
 from ...core.messages import format_count, list_first
 from .. import long_work, properties, start_job
 from ..error_reports import report_message, reports_errors
-from .job import DistanceJob, analyze, prepare
+from .analysis import FARFIELD_PG_distance_plan, analyze, store_plans
+from .job import DistanceJob, prepare
+from .measuring import MeasureJob
 
 
 class FARFIELD_PG_distance(bpy.types.PropertyGroup):
-    """Settings of the panel *Distance-Ready*, stored per scene, and the latest analysis as JSON."""
+    """Settings of the panel *Distance-Ready*, stored per scene, and the list of the latest analysis."""
 
+    settings_types = (DistanceSettings,)
     __annotations__ = {
         **properties.build_annotations(DistanceSettings, set()),
-        "analysis": bpy.props.StringProperty(options={"HIDDEN", "SKIP_SAVE"}),
+        "plans": bpy.props.CollectionProperty(type=FARFIELD_PG_distance_plan),
+        "active_plan": bpy.props.IntProperty(),
+        "figures": bpy.props.StringProperty(options={"HIDDEN"}),
     }
 
 
@@ -71,11 +73,13 @@ class FARFIELD_OT_distance_analyze(bpy.types.Operator):
         group = context.scene.farfield_distance
         settings = properties.read(DistanceSettings, group)
         plans, skipped = analyze(context.scene, context.view_layer, chosen_objects(context), settings)
-        group.analysis = json.dumps([asdict(plan) for plan in plans])
-        triangles, places = sum(plan.triangles for plan in plans), sum(plan.places for plan in plans)
+        store_plans(group.plans, plans)
+        group.active_plan = 0
+        triangles, places = sum(plan.total for plan in plans), sum(plan.places for plan in plans)
         left_out = f" Skipped: {list_first(skipped)}." if skipped else ""
         counts = f"{format_count(len(plans), 'object')} at {format_count(places, 'place')}"
-        report_message(self, f"{counts} have {format_count(triangles, 'triangle')}.{left_out}")
+        unique = f"{sum(plan.triangles for plan in plans):,} without repetitions"
+        report_message(self, f"{counts} have {format_count(triangles, 'triangle')}, {unique}.{left_out}")
         return {"FINISHED"}
 
 
@@ -89,6 +93,26 @@ class LevelsOperator:
         """Return whether the scene has levels that can be changed."""
         missing = "" if has_levels(context.scene) else "No object shows levels by distance"
         return long_work.poll_with_reason(cls, disabled_reason(context) or missing)
+
+
+class FARFIELD_OT_distance_measure(long_work.LongWork, bpy.types.Operator):
+    """Render up to three frames with the originals and with levels by distance, with at most 32 samples, and compare time, memory and the
+    images"""
+
+    bl_idname = "farfield.distance_measure"
+    bl_label = "Measure Levels by Distance"
+    bl_options = {"REGISTER"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Return whether the scene can be rendered with levels."""
+        missing = "" if has_levels(context.scene) else "No object shows levels by distance"
+        camera = "" if context.scene.camera is not None else "Add a camera"
+        return long_work.poll_with_reason(cls, disabled_reason(context) or missing or camera)
+
+    def prepare(self, context: bpy.types.Context) -> MeasureJob:
+        """Read the scene."""
+        return MeasureJob(context.scene.session_uid)
 
 
 class FARFIELD_OT_distance_show_original(LevelsOperator, bpy.types.Operator):
@@ -120,6 +144,7 @@ class FARFIELD_OT_distance_remove(LevelsOperator, bpy.types.Operator):
         count = len(hosts)
         detach(hosts)
         clean_up(scene)
+        scene.farfield_distance.figures = ""
         report_message(self, f"{format_count(count, 'object')} no longer show levels by distance.")
         return {"FINISHED"}
 
@@ -128,9 +153,11 @@ register, unregister = properties.scene_settings_factory(
     "farfield_distance",
     FARFIELD_PG_distance,
     (
+        FARFIELD_PG_distance_plan,
         FARFIELD_PG_distance,
         FARFIELD_OT_distance_build,
         FARFIELD_OT_distance_analyze,
+        FARFIELD_OT_distance_measure,
         FARFIELD_OT_distance_show_original,
         FARFIELD_OT_distance_remove,
     ),

@@ -69,6 +69,7 @@ class PackageJob:
 class FARFIELD_PG_packages(bpy.types.PropertyGroup):
     """Folder and settings of the panel *Packages*, stored per scene."""
 
+    settings_types = (PackageSettings,)
     __annotations__ = properties.build_annotations(PackageSettings, set()) | {
         "folder": bpy.props.StringProperty(**FOLDER, options={"PATH_SUPPORTS_BLEND_RELATIVE"})
     }

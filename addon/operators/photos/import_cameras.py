@@ -20,6 +20,7 @@ from ...core.messages import format_count
 from ...core.photos.importers import read_camera_file
 from .. import long_work
 from ..error_reports import report_message, reports_errors
+from ..file_browser import open_file_browser, remember_folder
 from ..job_run import run_job
 from .previews import FARFIELD_OT_photos_draw_overlays, OverlayJob
 from .sources import open_photographs, read_targets, selected_meshes
@@ -36,7 +37,7 @@ class FARFIELD_OT_photos_import_cameras(bpy.types.Operator):
     """Import registered cameras of COLMAP, Metashape, NeRF programs and others, with their photographs as background images"""
 
     bl_idname = "farfield.photos_import_cameras"
-    bl_label = "Import Cameras of Photographs"
+    bl_label = "Import Photo Cameras"
     bl_options = {"REGISTER", "UNDO"}
     __annotations__ = {
         "filepath": bpy.props.StringProperty(name="File", description="File or folder with the cameras", subtype="FILE_PATH"),
@@ -70,13 +71,13 @@ class FARFIELD_OT_photos_import_cameras(bpy.types.Operator):
     @reports_errors
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Open the file browser."""
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
+        return open_file_browser(self, context)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Read the cameras and create objects for them."""
         path = _absolute(self.filepath)
+        remember_folder(self, context, path)
         mesh = _absolute(self.mesh) if self.mesh else None
         if mesh is not None and mesh.suffix.lower() not in MESH_EXTENSIONS:
             raise FileError(f'The mesh "{mesh.name}" is none of {" ".join(MESH_EXTENSIONS)}; convert it, or import it with Blender.')
@@ -124,7 +125,7 @@ def _draw_overlays(context: bpy.types.Context, cameras: Sequence[bpy.types.Objec
         return f" {run_to_end(run_job(job))}"
     if long_work.running_job_message():
         return f" Overlays were not drawn: {long_work.running_job_message()}."
-    long_work.start_in_background(job, FARFIELD_OT_photos_draw_overlays.bl_label)
+    long_work.start_in_background(job, FARFIELD_OT_photos_draw_overlays.bl_label, "photos")
     return " Overlays are being drawn; open them in the Image Editor."
 
 

@@ -1,9 +1,13 @@
 """Operator of the tool `photos` that merges photographs into a texture."""
 
+from collections.abc import Callable
+from functools import partial
+
 import bpy
 
 from ...core.photos.settings import PhotosSettings
 from .. import long_work, properties, start_job
+from ..view_following import show_textures, viewport_address
 from .job import MergeJob, prepare
 from .sources import disabled_reason
 
@@ -13,6 +17,7 @@ MAPS = {"name": "Maps", "description": "Also create images of confidence, source
 class FARFIELD_PG_photos(bpy.types.PropertyGroup):
     """Settings of the panel *Photo Texture*, stored per scene."""
 
+    settings_types = (PhotosSettings,)
     __annotations__ = properties.build_annotations(PhotosSettings, set()) | {"maps": bpy.props.BoolProperty(**MAPS)}
 
 
@@ -37,6 +42,10 @@ class FARFIELD_OT_photos_merge(start_job.StartJob, bpy.types.Operator):
         if not self.properties.is_property_set("maps"):
             self.maps = context.scene.farfield_photos.maps
         return prepare(context, settings, has_maps=self.maps)
+
+    def prepare_follow_up(self, context: bpy.types.Context) -> Callable[[], None]:
+        """Return what lets the Solid view show the texture."""
+        return partial(show_textures, viewport_address(context))
 
 
 CLASSES = (FARFIELD_PG_photos, FARFIELD_OT_photos_merge)

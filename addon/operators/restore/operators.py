@@ -34,6 +34,7 @@ def _image_property(action: str) -> Any:
 class FARFIELD_PG_restore(bpy.types.PropertyGroup):
     """Settings of the panel *Restore Image*, stored per scene."""
 
+    settings_types = (MaskSettings, RestoreSettings)
     __annotations__ = properties.build_annotations(MaskSettings, set()) | properties.build_annotations(RestoreSettings, set())
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import bpy
 
-from ...bridge.scene_paths import check_scene_outputs, default_folder
+from ...bridge.scene_paths import check_scene_outputs
 from ...core.errors import FileError
 from ...core.files.atomic_write import write_bytes_atomically
 from ...core.files.file_access import read_file
@@ -13,6 +13,7 @@ from ...core.messages import format_count
 from ...core.texmesh.perception.recorded_answers import MAX_ANSWER_BYTES, decode_answers, merge_answers, write_answers
 from .. import long_work
 from ..error_reports import report_message, reports_errors
+from ..file_browser import open_file_browser, remember_folder
 from .calibration_run import ANSWERS, stored_answers
 
 SUFFIX = ".json"
@@ -40,9 +41,7 @@ class FARFIELD_OT_texmesh_save_answers(bpy.types.Operator):
         """Open the file browser; if a file is given, write it."""
         if self.filepath:
             return self.execute(context)
-        self.filepath = str(default_folder() / f"answers{SUFFIX}")
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
+        return open_file_browser(self, context, f"answers{SUFFIX}")
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -53,6 +52,7 @@ class FARFIELD_OT_texmesh_save_answers(bpy.types.Operator):
         check_scene_outputs([Output("the file of answers", path)])
         records = stored_answers(context.scene)
         write_bytes_atomically(path, write_answers(records).encode())
+        remember_folder(self, context, path)
         report_message(self, f"Wrote {format_count(len(records), 'answer')}.")
         return {"FINISHED"}
 
@@ -80,14 +80,14 @@ class FARFIELD_OT_texmesh_add_answers(bpy.types.Operator):
         """Open the file browser; if a file is given, read it."""
         if self.filepath:
             return self.execute(context)
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
+        return open_file_browser(self, context)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Read the files."""
         names = [str(Path(self.directory) / item.name) for item in self.files if item.name] or [self.filepath]
         added = [decode_answers(read_file(Path(bpy.path.abspath(name)), MAX_ANSWER_BYTES), name) for name in names]
+        remember_folder(self, context, Path(bpy.path.abspath(names[0])))
         own = stored_answers(context.scene)
         merged = merge_answers([own, *added])
         context.scene[ANSWERS] = write_answers(merged)

@@ -4,15 +4,18 @@ from pathlib import Path
 
 import bpy
 
-from ...bridge.scene_paths import check_scene_outputs, default_folder
+from ...bridge.scene_paths import check_scene_outputs
 from ...bridge.texmesh.glb_levels import level_outputs, write_levels
 from ...core.errors import FileError
 from ...core.files.file_access import is_folder
+from ...core.files.filenames import safe_filename
 from ...core.files.outputs import Output
 from ...core.messages import join_sentences, list_first
 from ...core.texmesh.settings import ExportSettings
 from .. import long_work, properties
-from ..error_reports import report_message, reports_errors
+from ..error_reports import reports_errors
+from ..file_browser import open_file_browser, remember_folder
+from ..results import report_result, store_result
 from .operators import NO_LEVELS, selected_level_sets
 
 SUFFIX = ".glb"
@@ -39,10 +42,7 @@ class FARFIELD_OT_texmesh_export(bpy.types.Operator):
         """Open the file browser; if a file is given, write it."""
         if self.filepath:
             return self.execute(context)
-        name = bpy.path.clean_name(selected_level_sets(context)[0].source_name) or "levels"
-        self.filepath = str(default_folder() / (name + SUFFIX))
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
+        return open_file_browser(self, context, safe_filename(selected_level_sets(context)[0].source_name) + SUFFIX)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -55,7 +55,10 @@ class FARFIELD_OT_texmesh_export(bpy.types.Operator):
         path = path.with_suffix(SUFFIX)
         check_scene_outputs([Output("the file", path)] if self.one_file else level_outputs(path))
         paths, sentences = write_levels(selected_level_sets(context), path, properties.read(ExportSettings, self))
-        report_message(self, join_sentences([f"Saved {list_first(item.name for item in paths)}.", *sentences]))
+        remember_folder(self, context, path)
+        message = join_sentences([f"Saved {list_first(item.name for item in paths)}.", *sentences])
+        store_result(context.scene, "texmesh", message)
+        report_result(self, message)
         return {"FINISHED"}
 
 

@@ -8,8 +8,7 @@ import bpy
 from ...bridge import cameras
 from ...bridge.texmesh.level_sets import LevelSet, level_sets_in, remove_level_set, set_hidden
 from ...core.messages import format_count
-from ...core.settings import describe
-from ...core.texmesh.settings import PRESETS, AnalysisSettings, ResearchSettings, SceneSettings, TexmeshSettings
+from ...core.texmesh.settings import AnalysisSettings, SceneSettings, TexmeshSettings
 from .. import long_work, properties, start_job
 from ..error_reports import report_message, reports_errors
 from ..view_following import viewport_address
@@ -23,6 +22,7 @@ NO_LEVELS = "Select a level of detail, or the object that levels were made from"
 class FARFIELD_PG_texmesh(bpy.types.PropertyGroup):
     """Settings of the panel *Perceptual Levels*, stored per scene."""
 
+    settings_types = (TexmeshSettings, SceneSettings)
     __annotations__ = properties.build_annotations(TexmeshSettings, set()) | properties.build_annotations(SceneSettings, set())
 
 
@@ -36,7 +36,7 @@ def disabled_reason(context: bpy.types.Context) -> str:
     if not objects:
         return "Select a mesh with a texture"
     reasons = [refusal(item, context.view_layer) for item in objects]
-    return reasons[0] if all(reasons) else ""
+    return reasons[0][:1].upper() + reasons[0][1:] if all(reasons) else ""
 
 
 class FARFIELD_OT_texmesh_analyze(start_job.StartJob, bpy.types.Operator):
@@ -74,36 +74,6 @@ class FARFIELD_OT_texmesh_levels(start_job.StartJob, bpy.types.Operator):
         if not self.read_settings(context)[SceneSettings].cross_fade:
             return super().prepare_follow_up(context)
         return partial(preview.start_for_crossfades, viewport_address(context))
-
-
-class FARFIELD_OT_texmesh_preset(bpy.types.Operator):
-    """Set all research controls of perceptual levels"""
-
-    bl_idname = "farfield.texmesh_preset"
-    bl_label = "Set Research Controls of Perceptual Levels"
-    bl_options = {"REGISTER", "UNDO"}
-    __annotations__ = {
-        "preset": bpy.props.EnumProperty(
-            name="Preset",
-            description="Values of all research controls",
-            items=[(name, choice.label, choice.help) for name, (choice, _) in PRESETS.items()],
-        )
-    }
-
-    @classmethod
-    def description(cls, _context: bpy.types.Context, chosen: bpy.types.OperatorProperties) -> str:
-        """Return what the preset does."""
-        return PRESETS[chosen.preset][0].help
-
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Set the controls in the panel."""
-        choice, values = PRESETS[self.preset]
-        for item in describe(ResearchSettings):
-            value = values.get(item.name, item.default)
-            setattr(context.scene.farfield_texmesh, item.name, properties.to_blender(item, value))
-        report_message(self, f"The research controls are {choice.label}.")
-        return {"FINISHED"}
 
 
 class LevelsOperator:
@@ -157,29 +127,43 @@ class FARFIELD_OT_texmesh_show(LevelsOperator, bpy.types.Operator):
 
 
 class FARFIELD_OT_texmesh_crossfade(LevelsOperator, bpy.types.Operator):
-    """Cross-fade the levels of the selected objects for the active camera, also in renders without Farfield"""
+    """Cross-fade the levels of the selected objects for the active camera, also in renders without Farfield, or end it"""
 
     bl_idname = "farfield.texmesh_crossfade"
     bl_label = "Cross-Fade Perceptual Levels"
+    __annotations__ = {
+        "enable": bpy.props.BoolProperty(
+            name="Enable", description="Cross-fade. When off, show one level for the active camera", default=True, options={"SKIP_SAVE"}
+        ),
+        "all_objects": bpy.props.BoolProperty(
+            name="All", description="The levels of all objects of the scene, instead of selected ones", options={"SKIP_SAVE"}
+        ),
+    }
 
     @reports_errors
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Add a cross-fade, and let one level show in all views."""
         result = self.execute(context)
-        if context.window is not None:
+        if context.window is not None and self.enable:
             preview.start_for_crossfades(viewport_address(context))
         return result
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Add a cross-fade to all levels."""
+        """Add a cross-fade to all levels, or remove it."""
         settings = properties.read(SceneSettings, context.scene.farfield_texmesh)
-        editable = editable_level_sets(context)
+        found = level_sets_in(context.scene) if self.all_objects else selected_level_sets(context)
+        editable = [levels for levels in found if levels.is_editable and (self.enable or levels.has_crossfade)]
+        camera = cameras.read_scene_camera(context.scene)
         for levels in editable:
-            levels.add_crossfade(context.scene, settings.fade_range)
+            if self.enable:
+                levels.add_crossfade(context.scene, settings.fade_range)
+            else:
+                levels.show(0 if camera is None else levels.choose_level(camera))
             levels.hide_source(True)
             activate_visible(context, levels)
-        report_message(self, f"Cross-fading the levels of {format_count(len(editable), 'object')}.")
+        what = "Cross-fading the levels" if self.enable else "Showing one level"
+        report_message(self, f"{what} of {format_count(len(editable), 'object')}.")
         return {"FINISHED"}
 
 
@@ -264,7 +248,6 @@ register, unregister = properties.scene_settings_factory(
         FARFIELD_PG_texmesh,
         FARFIELD_OT_texmesh_analyze,
         FARFIELD_OT_texmesh_levels,
-        FARFIELD_OT_texmesh_preset,
         FARFIELD_OT_texmesh_show,
         FARFIELD_OT_texmesh_crossfade,
         FARFIELD_OT_texmesh_show_for_camera,

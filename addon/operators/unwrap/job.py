@@ -16,7 +16,7 @@ from ...core.geometry.cameras import CameraProjection
 from ...core.geometry.local_origin import describe_coarseness
 from ...core.geometry.mesh import TriangleMesh
 from ...core.jobs.progress import Progress, Steps, subprogress
-from ...core.messages import format_count, join_sentences
+from ...core.messages import format_count, format_number, join_sentences
 from ...core.unwrap.importance import compute_importance, from_direction
 from ...core.unwrap.settings import UnwrapSettings
 from ...core.unwrap.unwrapping import UnwrapResult, check_surface, unwrap
@@ -95,12 +95,13 @@ class UnwrapJob:
 
     def _summarize(self) -> str:
         summaries = [f'"{target.object_name}" ({self._describe(result)})' for target, result in self.results]
-        wanted, texture = self.settings.texel_density, _describe_tiles(self.settings)
+        texture = _describe_tiles(self.settings)
         densities = [(target, result.metrics.texel_density) for target, result in self.results]
         lowered = [
-            f'The texel density of "{target.object_name}" was lowered to {density:.4g} px/m: {wanted:g} px/m do not fit into {texture}.'
+            f'The texel density of "{target.object_name}" was lowered to {format_number(density)} px/m: '
+            f"{format_number(self.settings.texel_density)} px/m do not fit into {texture}."
             for target, density in densities
-            if density < MIN_DENSITY_FRACTION * wanted
+            if density < MIN_DENSITY_FRACTION * self.settings.texel_density
         ]
         skipped = f"Skipped: {'; '.join(self.skipped)}." if self.skipped else ""
         return join_sentences([f"Unwrapped {', '.join(summaries)}.", *lowered, *self.remarks, skipped])
@@ -112,7 +113,7 @@ class UnwrapJob:
         figures = [f"stretch {metrics.l2:.3f}", format_count(result.chart_count, "UV island") + stacked]
         figures += [format_count(tiles, "UDIM tile")] if tiles > 1 else []
         figures += ["upright"] if result.is_upright else []
-        return ", ".join([*figures, f"{metrics.texel_density:.4g} px/m", f"{metrics.fill:.0%} filled"])
+        return ", ".join([*figures, f"{format_number(metrics.texel_density)} px/m", f"{metrics.fill:.0%} filled"])
 
 
 def _describe_tiles(settings: UnwrapSettings) -> str:

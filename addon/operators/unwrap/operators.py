@@ -8,16 +8,20 @@ from mathutils import Vector
 from ...bridge.scene_paths import check_scene_outputs
 from ...bridge.unwrap import uv_maps
 from ...bridge.unwrap.stretch_display import overlay, save_stretch_image
+from ...core.files.filenames import safe_filename
 from ...core.files.outputs import Output
+from ...core.messages import format_number
 from ...core.unwrap.settings import UnwrapSettings
 from .. import long_work, properties, start_job
 from ..error_reports import report_message, reports_errors
+from ..file_browser import open_file_browser, remember_folder
 from .job import UnwrapJob, prepare
 
 
 class FARFIELD_PG_unwrap(bpy.types.PropertyGroup):
     """Settings of the panel *View-Dependent Unwrap*, stored per scene."""
 
+    settings_types = (UnwrapSettings,)
     __annotations__ = properties.build_annotations(UnwrapSettings, set())
 
 
@@ -85,7 +89,7 @@ class FARFIELD_OT_unwrap_texel_density(bpy.types.Operator):
         uv_map = item.data.uv_layers.active.name
         density = uv_maps.measure_texel_densities(item.data, target, [uv_map], settings.texture, unit_length)[uv_map]
         context.scene.farfield_unwrap.texel_density = density
-        report_message(self, f'The texel density of "{uv_map}" is {density:.4g} px/m.')
+        report_message(self, f'The texel density of "{uv_map}" is {format_number(density)} px/m.')
         return {"FINISHED"}
 
 
@@ -126,9 +130,7 @@ class FARFIELD_OT_unwrap_stretch_image(bpy.types.Operator):
     @reports_errors
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Open the file browser."""
-        self.filepath = f"{context.active_object.name} stretch.png"
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
+        return open_file_browser(self, context, safe_filename(f"{context.active_object.name} stretch") + ".png")
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -136,6 +138,7 @@ class FARFIELD_OT_unwrap_stretch_image(bpy.types.Operator):
         path = Path(bpy.path.abspath(self.filepath)).with_suffix(".png")
         check_scene_outputs([Output("the image", path)])
         save_stretch_image(context.active_object, path, self.resolution)
+        remember_folder(self, context, path)
         report_message(self, f'Saved "{path}".')
         return {"FINISHED"}
 

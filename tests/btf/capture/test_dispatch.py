@@ -14,6 +14,7 @@ from farfield.addon.core.btf.capture.capture_run import MAX_SHARD_VIEWS, render_
 from farfield.addon.core.btf.capture.shards import ShardStore
 from farfield.addon.core.errors import FarfieldError, FileError
 from farfield.addon.core.jobs import heartbeat
+from farfield.addon.core.jobs.executors import parse_executor
 from farfield.addon.core.jobs.progress import run_to_end
 from lib import environment
 
@@ -74,12 +75,12 @@ class Bake:
         for store in self.stores:
             store.open("this bake")
 
-    def steps(self, executor_spec: str = "serial", fault: str = "pass"):
+    def steps(self, word: str = "serial", fault: str = "pass"):
         def command(shard):
             return [sys.executable, "-c", WORKER, str(self.folder), str(shard.heartbeat_file), fault, *map(str, shard.items)]
 
         with closing(heartbeat.take_over(self.folder)) as held:
-            return (yield from render_missing_views(held, self.stores, VIEWS, executor_spec, command))
+            return (yield from render_missing_views(held, self.stores, VIEWS, parse_executor(word), command))
 
     def log(self, keyword: str) -> list[str]:
         """Return the log lines that start with `keyword`, without it."""
@@ -112,12 +113,12 @@ def test_split_views_covers_all_views_in_order_and_uses_all_slots(missing, slots
     assert len(shards) == len(missing) or len(shards) % slots == 0
 
 
-@pytest.mark.parametrize("executor_spec", ["serial", "processes:2"])
-def test_every_view_is_rendered_once(bake, undisturbed, executor_spec):
+@pytest.mark.parametrize("word", ["serial", "processes:2"])
+def test_every_view_is_rendered_once(bake, undisturbed, word):
     fractions = []
-    assert run_to_end(bake.steps(executor_spec), lambda step: fractions.append(step.fraction)) == 2 * VIEWS
+    assert run_to_end(bake.steps(word), lambda step: fractions.append(step.fraction)) == 2 * VIEWS
     assert sorted(bake.log("view")) == sorted(f"{level} {view}" for level in (0, 1) for view in range(VIEWS))
-    assert len(bake.log("start")) == (1 if executor_spec == "serial" else 2)
+    assert len(bake.log("start")) == (1 if word == "serial" else 2)
     assert bake.read_views() == undisturbed
     assert fractions == sorted(fractions) and fractions[0] >= 0.0 and fractions[-1] <= 1.0
     assert sum(store.render_seconds(VIEWS) for store in bake.stores) == pytest.approx(0.25 * 2 * VIEWS)

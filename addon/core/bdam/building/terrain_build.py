@@ -9,14 +9,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from ...errors import FarfieldError, FileError
-from ...files.file_access import convert_os_errors
+from ...files.file_access import convert_os_errors, folder_bytes
 from ...files.sealed_files import validate_or_remove, write_sealed
 from ...geometry.placements import GeographicFrame
-from ...jobs.executors import check_executor
+from ...jobs.executors import Executor, parse_executor
 from ...jobs.heartbeat import take_over
 from ...jobs.job_folder import open_job_folder, remove_temporary_files
 from ...jobs.progress import Progress, StageClock, Steps, subprogress
-from ...jobs.task_pool import TaskPool, open_task_pool
+from ...jobs.task_pool import TaskPool
 from ...messages import format_bytes
 from ..fields.terrain_field import TerrainField
 from ..settings import BdamSettings
@@ -70,14 +70,20 @@ class BuildReport:
 
 
 def build_terrain(
-    field: TerrainField, sources: Sequence[Path], out: Path, settings: BdamSettings, images: Sequence[Path] = ()
+    field: TerrainField,
+    sources: Sequence[Path],
+    out: Path,
+    settings: BdamSettings,
+    images: Sequence[Path] = (),
+    executor: Executor | None = None,
 ) -> Steps[BuildReport]:
     """Build the store of a field in the folder `out`.
 
     Finished parts are kept in a work folder next to it, from which the same build resumes; it is deleted at the end.
 
     sources: the files of the field; with their sizes and times they tell whether a work folder belongs to this build. images: files of its
-    texture, see `ground_images.place_images`; later ones lie over earlier ones.
+    texture, see `ground_images.place_images`; later ones lie over earlier ones. executor: where
+    patches are built; that of the settings if it is None.
 
     Raises:
         FileError: a source or an image is damaged or does not fit, `out` contains other files, or there is no room.
@@ -85,7 +91,7 @@ def build_terrain(
         FarfieldError: a worker fails twice.
     """
     check_target(out)
-    check_executor(settings.executor)
+    executor = parse_executor(settings.executor) if executor is None else executor
     recover_store(out)
     clock = StageClock()
     header = _create_header(field, settings, has_texture=bool(images))
@@ -103,7 +109,7 @@ def build_terrain(
         write_sealed(folder / PARAMETERS_FILE, work.parameters_content)
         with clock.stage("heights"):
             holes = yield from subprogress(_read_sources(field, work, header, settings, textures), 0.0, READ_END)
-        with open_task_pool(settings.executor, TASKS_MODULE, [str(folder)], held, "parts") as pool:
+        with executor.open_task_pool(TASKS_MODULE, [str(folder)], held, "parts") as pool:
             texture_end = READ_END + (FINISH_START - READ_END) * _texture_fraction(header, textures)
             if textures is not None:
                 with clock.stage("textures"):
@@ -275,8 +281,3 @@ def _check_free_space(out: Path, needed: int, work_folder: Path) -> None:
             f'The disk of "{place}" has {format_bytes(free)} left, and the build needs about {format_bytes(needed - kept)} there; '
             "free some space, or choose another disk."
         )
-
-
-def folder_bytes(folder: Path) -> int:
-    """Return the size of all files in a folder. Raises OSError."""
-    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())

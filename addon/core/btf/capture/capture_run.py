@@ -14,6 +14,7 @@ from pathlib import Path
 from ...files.file_access import convert_os_errors
 from ...files.user_folders import open_private_folder
 from ...jobs import dispatch, heartbeat
+from ...jobs.executors import Executor
 from ...jobs.heartbeat import Heartbeat
 from ...jobs.progress import Steps
 from .shards import ShardStore
@@ -76,7 +77,7 @@ def _delete_snapshots(folder: Path) -> None:
 
 
 def render_missing_views(
-    held: Heartbeat, stores: Sequence[ShardStore], view_count: int, executor_spec: str, command: Callable[[dispatch.Shard[int]], list[str]]
+    held: Heartbeat, stores: Sequence[ShardStore], view_count: int, executor: Executor, command: Callable[[dispatch.Shard[int]], list[str]]
 ) -> Steps[int]:
     """Have worker processes render all views that are missing in any of the `stores`; return their number.
 
@@ -86,7 +87,7 @@ def render_missing_views(
     for store in stores:
         store.remove_temporary_files()
     files = _ViewFiles(stores)
-    return (yield from dispatch.run_missing(held, range(view_count), files, executor_spec, command, VIEWS, split_views))
+    return (yield from dispatch.run_missing(held, range(view_count), files, executor, command, VIEWS, split_views))
 
 
 def split_views(missing: Sequence[int], slots: int) -> list[list[int]]:

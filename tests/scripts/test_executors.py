@@ -1,4 +1,5 @@
-"""On a Dask scheduler, commands run, and task pools give the same replies as serial ones, survive one crash, and end with their run.
+"""Scripts open executors by words. On a Dask scheduler, commands run, and task pools give the same replies as serial ones, survive one
+crash, and end with their run.
 
 The tests use one scheduler: the first one before it has workers, the last one ends it.
 """
@@ -12,21 +13,23 @@ from pathlib import Path
 import pytest
 
 from dask_farm import DaskFarm
-from farfield.addon.core.errors import FarfieldError
+from farfield.addon.core.errors import FarfieldError, SettingsError
 from farfield.addon.core.jobs import heartbeat
-from farfield.addon.core.jobs.executors import open_executor
+from farfield.addon.core.jobs.executors import LocalExecutor
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.jobs.subprocess_pool import open_subprocess_pool, wait_for_exit
-from farfield.addon.core.jobs.task_pool import open_task_pool
+from farfield.addon.core.jobs.subprocess_pool import wait_for_exit
+from lib import executors
+from lib.executors import open_executor
 
 MODULE = "tests.jobs.sample_tasks"
 
 
 @contextmanager
-def open_pool(folder: Path, executor_spec: str, task: str):
+def open_pool(folder: Path, word: str, task: str):
     with (
         closing(heartbeat.take_over(folder)) as held,
-        open_task_pool(executor_spec, MODULE, [task, str(folder)], held, "tiles") as pool,
+        open_executor(word) as executor,
+        executor.open_task_pool(MODULE, [task, str(folder)], held, "tiles") as pool,
     ):
         yield pool
 
@@ -45,6 +48,31 @@ def farm(scheduler):
     """The scheduler with two workers."""
     scheduler.start_workers(2)
     return scheduler
+
+
+def test_words_of_the_extension_open_its_executors():
+    with open_executor("serial") as serial, open_executor("processes:3") as several:
+        assert (serial, several) == (LocalExecutor(1, is_serial=True), LocalExecutor(3))
+
+
+@pytest.mark.parametrize("word", ["dask", "dask:", "dask:localhost", "dask:no://h:1", "threads"])
+def test_other_words_are_rejected(word):
+    with pytest.raises(SettingsError, match="Executor must be"), open_executor(word):
+        pass
+
+
+def test_a_scheduler_without_dask_installed_is_an_error(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(FarfieldError, match="Dask is not installed"), open_executor("dask:tcp://127.0.0.1:9"):
+        pass
+
+
+def test_a_scheduler_that_does_not_answer_is_named(monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(executors, "CONNECT_SECONDS", 0.1)
+    timeout = pytest.raises(FarfieldError, match=r"No Dask scheduler answers at .tcp://127\.0\.0\.1:9")
+    with timeout, open_executor("dask:tcp://127.0.0.1:9"):
+        pass
 
 
 def test_a_scheduler_without_workers_is_rejected(scheduler):
@@ -112,8 +140,8 @@ def python(code: str) -> list[str]:
 
 
 def test_dask_runs_commands_without_farfield(farm):
-    with open_subprocess_pool(f"dask:{farm.address}") as pool:
-        assert (pool.executor.slots, pool.executor.workers_per_machine) == (2, 2)
+    with open_executor(f"dask:{farm.address}") as executor, executor.open_subprocess_pool() as pool:
+        assert (pool.slots, pool.workers_per_machine) == (2, 2)
         pending = [pool.submit(python(f"import sys; print({code}, file=sys.stderr); sys.exit({code})")) for code in range(4)]
         assert [wait_for_exit(future) for future in pending] == [(code, f"{code}\n") for code in range(4)]
         with pytest.raises(FarfieldError, match="cannot be started"):
@@ -121,9 +149,9 @@ def test_dask_runs_commands_without_farfield(farm):
 
 
 def test_a_lost_scheduler_is_reported(farm):
-    with open_subprocess_pool(f"dask:{farm.address}") as pool:
+    with open_executor(f"dask:{farm.address}") as executor, executor.open_subprocess_pool() as pool:
         pending = pool.submit(python("import time; time.sleep(20)"))
         time.sleep(0.5)
         farm.close()
-        with pytest.raises(FarfieldError, match="scheduler stopped"):
+        with pytest.raises(FarfieldError, match="stopped or dropped"):
             wait_for_exit(pending)

@@ -1,0 +1,113 @@
+"""What the images of a camera show of levels by distance, as geometry nodes choose them, and the error that a budget needs.
+
+A place of an asset is seen with pixels of a range of sizes: those at its nearest and at its farthest point, in units of the asset.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..geometry.cameras import Camera
+
+MARGIN = 0.1  # Radians around the image, for motion blur and shifted lenses.
+UNSEEN_FACTOR = 4.0  # Of the size of a pixel where the camera does not see: shadows are soft, but those of the coarsest level are spots.
+UNSEEN_EXCESS = 1.001  # Of that size above the one from which the first level after the original shows, at least.
+MAX_ERROR = 16.0  # Pixels.
+STEPS = 24  # Of the bisection for a budget.
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera at one frame.
+
+    camera: its position, lens and pixels. direction: (3,) in which it looks. diagonal: tangent of the angle between the direction and the
+    corners of the image, infinite where everything may be seen.
+    """
+
+    camera: Camera
+    direction: np.ndarray
+    diagonal: float = math.inf
+
+    def measure(self, centers: np.ndarray, radii: np.ndarray, scales: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the sizes (N,) of a pixel at the nearest and at the farthest point of spheres, in units of their assets, and whether (N,)
+        each may be seen.
+
+        Args:
+            centers: (N, 3) world space.
+            radii: (N,) world space.
+            scales: (N,) length in world space of a unit of each asset.
+        """
+        offsets = centers - self.camera.position
+        distances = np.linalg.norm(offsets, axis=1)
+        safe = np.maximum(distances, 1e-20)
+        angles = np.arccos(np.clip(offsets @ self.direction / safe, -1.0, 1.0))
+        halves = np.arcsin(np.minimum(radii / safe, 1.0))
+        is_seen = (angles < math.atan(self.diagonal) + halves + MARGIN) | (distances < radii) | math.isinf(self.diagonal)
+        growth, constant = self.camera.pixel_size(1.0), self.camera.pixel_size(0.0)
+        if self.camera.field_of_view == 0.0:
+            growth = 0.0
+        sizes = [(np.maximum(at, 0.0) * growth + constant) / np.maximum(scales, 1e-20) for at in (distances - radii, distances + radii)]
+        return *sizes, is_seen
+
+
+@dataclass(frozen=True)
+class PlacedLevels:
+    """The levels of an asset, finest first, and the places that show them.
+
+    Attributes:
+        pixel_sizes: (L,) from which each shows, where it may leave out one pixel.
+        triangles: (L,) numbers.
+        error_factor: by which the allowed error of the asset differs from that of others.
+        nearest: (F, N) size of a pixel at the nearest point of each place, for each frame, see `View.measure`.
+        farthest: (F, N) the same at the farthest point.
+        is_seen: (F, N) bool, whether the frame may show the place.
+    """
+
+    pixel_sizes: np.ndarray
+    triangles: np.ndarray
+    error_factor: float
+    nearest: np.ndarray
+    farthest: np.ndarray
+    is_seen: np.ndarray
+
+    def count_shown(self, max_error: float, fade_range: float) -> np.ndarray:
+        """Return how many places (F, L) render each level in each frame. Within the fade range, a place renders two."""
+        error = max_error * self.error_factor
+        near, far = (error * sizes for sizes in (self.nearest, self.farthest))
+        if len(self.pixel_sizes) > 1:
+            near = np.where(self.is_seen, near, np.maximum(UNSEEN_FACTOR * near, UNSEEN_EXCESS * self.pixel_sizes[1]))
+        ranges = np.where(self.is_seen, fade_range, 0.0)[:, :, None]
+        near, far = near[:, :, None], far[:, :, None]
+        ends = np.append(self.pixel_sizes[1:], np.inf)
+        begins = self.pixel_sizes < np.where(ranges > 0.0, far, near)
+        begins[..., 0] = True
+        return (begins & ~(ends * (1.0 + ranges) < near)).sum(axis=1)
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """counts: (F, L) places that render each level, for each asset. triangles: (F,) of all in each frame."""
+
+    counts: list[np.ndarray]
+    triangles: np.ndarray
+
+
+def forecast(placed: Sequence[PlacedLevels], max_error: float, fade_range: float) -> Forecast:
+    """Return what the frames show where levels may leave out `max_error` pixels."""
+    counts = [levels.count_shown(max_error, fade_range) for levels in placed]
+    return Forecast(counts, sum((count @ levels.triangles for count, levels in zip(counts, placed, strict=True)), np.zeros(1, np.int64)))
+
+
+def find_error(fits: Callable[[float], bool], min_error: float) -> float | None:
+    """Return the smallest error in pixels, at least `min_error`, with which a budget is kept; None if not even `MAX_ERROR` does."""
+    if fits(min_error):
+        return min_error
+    low, high = min_error, MAX_ERROR
+    if high <= low or not fits(high):
+        return None
+    for _ in range(STEPS):
+        error = math.sqrt(low * high)
+        low, high = (low, error) if fits(error) else (error, high)
+    return high

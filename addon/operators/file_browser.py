@@ -1,0 +1,31 @@
+"""File browsers that open where the same operator opened or wrote a file last."""
+
+import os
+from pathlib import Path
+
+import bpy
+
+from ..bridge.scene_paths import default_folder
+
+FOLDERS = "farfield_folders"  # Custom property of the window manager, which no file keeps: the latest folder, by operator.
+
+
+def open_file_browser(operator: bpy.types.Operator, context: bpy.types.Context, filename: str = "", folder: Path | None = None) -> set[str]:
+    """Open the file browser of `operator`, and return the result of its `invoke`.
+
+    filename: is proposed. folder: where it opens for the first time, by default that of the open file.
+    """
+    known = context.window_manager.get(FOLDERS, {}).get(operator.bl_idname)
+    start = Path(known) if known and Path(known).is_dir() else folder or default_folder()
+    if hasattr(operator, "filepath"):
+        operator.filepath = f"{start}{os.sep}{filename}"
+    else:
+        operator.directory = f"{start}{os.sep}"
+    context.window_manager.fileselect_add(operator)
+    return {"RUNNING_MODAL"}
+
+
+def remember_folder(operator: bpy.types.Operator, context: bpy.types.Context, path: Path) -> None:
+    """Let the next file browser of `operator` open in the folder of `path`, a file or what was chosen in it."""
+    folders = dict(context.window_manager.get(FOLDERS, {}))
+    context.window_manager[FOLDERS] = folders | {operator.bl_idname: str(path.absolute().parent)}

@@ -1,0 +1,70 @@
+"""The latest result at the end of the panel of each tool: one sentence, and a button for the others."""
+
+from collections.abc import Sequence
+
+import bpy
+
+from ..operators import documentation, long_work, results
+from .sidebar import ToolPanel, draw_message
+
+DETAILS_WIDTH = 520  # pixels at scale 1
+DETAILS_CHARS = 84  # per line of this width
+OTHER_PANELS = ("FARFIELD_PT_unwrap_uv_editor",)  # for tools that have one in two editors
+
+
+class FARFIELD_OT_details(bpy.types.Operator):
+    """Show all sentences of this report"""
+
+    bl_idname = "farfield.details"
+    bl_label = "Details"
+    bl_options = {"INTERNAL"}
+    __annotations__ = {"text": bpy.props.StringProperty(options={"HIDDEN", "SKIP_SAVE"})}  # one sentence per line
+
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
+        """Open the popup."""
+        return context.window_manager.invoke_popup(self, width=DETAILS_WIDTH)
+
+    def execute(self, _context: bpy.types.Context) -> set[str]:
+        """Do nothing more."""
+        return {"FINISHED"}
+
+    def draw(self, _context: bpy.types.Context) -> None:
+        """Draw the sentences."""
+        column = self.layout.column()
+        for sentence in self.text.splitlines():
+            draw_message(column, sentence, "DOT", DETAILS_CHARS)
+
+
+def draw_details(layout: bpy.types.UILayout, sentences: Sequence[str], label: str) -> None:
+    """Draw a button that opens these sentences."""
+    layout.operator(FARFIELD_OT_details.bl_idname, text=label, icon="TEXT").text = "\n".join(sentences)
+
+
+def draw_result(panel: ToolPanel, context: bpy.types.Context) -> None:
+    """Draw the first sentence of the latest result, and the button if there are more."""
+    sentences = results.read_result(context.scene, panel.page)
+    if not sentences or long_work.current_run() is not None:
+        return
+    column = panel.layout.box().column()
+    draw_message(column, sentences[0], "CHECKMARK")
+    if len(sentences) > 1:
+        draw_details(column, sentences, f"Details ({len(sentences) - 1:,} more)")
+
+
+def panel_types() -> list[type[bpy.types.Panel]]:
+    """Return the panels that show results."""
+    return [getattr(bpy.types, name) for name in (*(f"FARFIELD_PT_{tool}" for tool in documentation.TOOLS), *OTHER_PANELS)]
+
+
+def register() -> None:
+    """Register the operator, and extend the panels, which are registered before."""
+    bpy.utils.register_class(FARFIELD_OT_details)
+    for panel in panel_types():
+        panel.append(draw_result)
+
+
+def unregister() -> None:
+    """Undo `register`."""
+    for panel in panel_types():
+        panel.remove(draw_result)
+    bpy.utils.unregister_class(FARFIELD_OT_details)

@@ -1,0 +1,57 @@
+"""Render the pictures of the presets of terrains, which their menu shows: `python3 docs/preset_pictures.py [--only NAME ...]`.
+
+Each is a view of the terrain that the preset makes, as it is now, in a file next to the preset.
+"""
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+
+FOLDER = Path(__file__).resolve().parent
+sys.path.insert(0, str(FOLDER.parent / "scripts"))
+
+from lib import environment
+
+environment.ensure()
+environment.import_farfield()
+
+import numpy as np
+from figures import terrain_views
+from PIL import Image
+
+from farfield.addon.core.clipbox.settings import ClipboxSettings
+from farfield.addon.core.presets import list_presets, read_preset
+
+PRESETS = FOLDER.parent / "addon" / "presets" / "clipbox"
+PIXELS, SAMPLES, QUALITY = 192, 48, 82
+# Where the camera stands, and the point that it looks at, scene units.
+VIEWS = {
+    "Alpine Range": ((-160.0, -1040.0, 300.0), (480.0, 480.0, -340.0)),
+    "Asteroids": ((0.0, -260.0, 60.0), (40.0, 60.0, 0.0)),
+    "Blocks": ((-40.0, -160.0, 60.0), (60.0, 60.0, -60.0)),
+    "Boulder Field": ((-60.0, -170.0, 110.0), (20.0, 20.0, 0.0)),
+    "Canyon": ((-20.0, -160.0, 70.0), (110.0, 180.0, -50.0)),
+    "Caves and Arches": ((-20.0, -130.0, 37.5), (60.0, 60.0, -5.0)),
+    "Floating Islands": ((0.0, -300.0, 100.0), (60.0, 200.0, 10.0)),
+    "Rolling Hills": ((-60.0, -260.0, 90.0), (60.0, 100.0, -20.0)),
+    "Terraces": ((-80.0, -200.0, 150.0), (40.0, 60.0, -30.0)),
+}
+
+
+def main() -> None:
+    """Render the pictures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", nargs="+", choices=sorted(VIEWS), default=sorted(VIEWS), help="names of presets")
+    for path in list_presets(PRESETS):
+        if path.stem in parser.parse_args().only:
+            settings = ClipboxSettings(**read_preset(path, [ClipboxSettings]).values)
+            position, target = (np.array(point) for point in VIEWS[path.stem])
+            with tempfile.TemporaryDirectory() as folder:
+                rendered = Path(folder) / "view.png"
+                terrain_views.square_view(rendered, PIXELS, SAMPLES, settings, position, target)
+                Image.open(rendered).convert("RGB").save(path.with_suffix(".webp"), quality=QUALITY, method=6)
+
+
+if __name__ == "__main__":
+    main()

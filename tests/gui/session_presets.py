@@ -1,0 +1,86 @@
+"""A session in a Blender window: opens the menus of presets, applies one, undoes that, creates a terrain and reads its details."""
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import addon_utils
+import bpy
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not add the script's folder
+
+from session import UserInput, module, open_panel_alone, results, save_screenshot, start_session, wait_for_job
+
+PRESET = "Floating Islands"
+DETAILS = (
+    'Built "Hélm 頭" (860, 665, 575 triangles). Emission of the material "Visor" is left out. '
+    'The finest level is no lighter than the original: show the original instead. "Strap" was skipped: it has no faces.'
+)
+
+
+def open_menu(user: UserInput, tool: str) -> Iterator[float]:
+    """Open the menu of presets of a tool as its button does, in the middle of the 3D Viewport."""
+    viewport = user.region("WINDOW")
+    user.move(viewport.x + viewport.width // 2, viewport.y + viewport.height // 2)
+    yield 0.5
+    with bpy.context.temp_override(window=user.window, area=user.area, region=viewport):
+        bpy.ops.wm.call_panel(name=f"FARFIELD_PT_{tool}_presets", keep_open=True)
+    yield 2.0
+
+
+def close_menu(user: UserInput) -> Iterator[float]:
+    """Press Esc in the 3D Viewport."""
+    viewport = user.region("WINDOW")
+    user.press("ESC", viewport.x + viewport.width // 2, viewport.y + viewport.height // 2)
+    yield 1.0
+
+
+def session() -> Iterator[float]:
+    """Run the session; yields pauses in seconds."""
+    user = UserInput()
+    bpy.data.objects.remove(bpy.data.objects["Cube"])
+    bpy.ops.ed.undo_push(message="Remove Cube")
+    open_panel_alone("clipbox")
+    yield from user.open_sidebar()
+    save_screenshot("1-panel")
+    for tool in ("clipbox", "billboards", "unwrap"):
+        yield from open_menu(user, tool)
+        save_screenshot(f"3-menu-{tool}")
+        yield from close_menu(user)
+
+    settings = bpy.context.scene.farfield_clipbox
+    viewport = user.region("WINDOW")
+    with bpy.context.temp_override(window=user.window, area=user.area, region=viewport):
+        bpy.ops.farfield.preset_apply("EXEC_DEFAULT", True, tool="clipbox", name=PRESET)
+    results["applied"] = settings.terrain
+    yield from user.press_undo()
+    results["undone"] = bpy.context.scene.farfield_clipbox.terrain
+    yield from user.press_undo(redo=True)
+    results["redone"] = bpy.context.scene.farfield_clipbox.terrain
+
+    space = user.area.spaces.active
+    results["clip_end_before"] = space.clip_end
+    yield from user.press_and_start("farfield.clipbox_create")
+    yield from wait_for_job()
+    yield 4.0
+    save_screenshot("4-created")
+    results["clip_end"] = space.clip_end
+    results["sentences"] = module("addon.operators.results").read_result(bpy.context.scene, "clipbox")
+
+    module("addon.operators.results").store_result(bpy.context.scene, "clipbox", DETAILS)
+    module("addon.operators.long_work").redraw_sidebars(bpy.context.window_manager)
+    yield 2.0
+    save_screenshot("5-result")
+    x, y = yield from user.find_button("farfield.details")
+    user.press("LEFTMOUSE", x, y)
+    yield 2.0
+    save_screenshot("6-details")
+    yield from close_menu(user)
+
+    package = module("addon.operators.user_cache").PACKAGE
+    addon_utils.enable(package, default_set=True)
+    results["processes"] = bpy.context.preferences.addons[package].preferences.processes
+
+
+if __name__ == "__main__":
+    start_session(session)

@@ -1,0 +1,32 @@
+"""Presets and results in a real window."""
+
+import pytest
+
+from gui.session_runner import run_gui_session
+
+pytestmark = pytest.mark.gui
+SMALL_WINDOW = 1280, 720
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory) -> dict:
+    """The results of session_presets.py."""
+    return run_gui_session("session_presets.py", tmp_path_factory, SMALL_WINDOW)
+
+
+def test_the_session_ran_to_its_end(results):
+    assert results["error"] is None, results["error"]
+
+
+def test_a_preset_is_one_undo_step(results):
+    assert (results["applied"], results["undone"], results["redone"]) == ("islands", "cascades", "islands")
+
+
+def test_a_new_terrain_is_within_the_clipping_range_and_reported(results):
+    assert results["clip_end"] > 20_000.0 > results["clip_end_before"]
+    first, *others = results["sentences"]
+    assert "triangles" in first and ["raise Clip End" in sentence for sentence in others] == [True]
+
+
+def test_preferences_are_those_of_the_extension(results):
+    assert results["processes"] == 0
