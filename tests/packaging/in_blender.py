@@ -20,8 +20,9 @@ def raise_error(error: Exception) -> None:
 
 
 def sidebar_tabs(names: list[str]) -> set[str]:
-    """Return the sidebar tabs of the panels among `names`."""
-    return {getattr(bpy.types, name).bl_category for name in names if "_PT_" in name}
+    """Return the sidebar tabs of the panels among `names`. Those of presets open from headers, and have none."""
+    panels = [getattr(bpy.types, name) for name in names if "_PT_" in name]
+    return {panel.bl_category for panel in panels if hasattr(panel, "bl_category")}
 
 
 def wheel_folders() -> list[str]:

@@ -81,6 +81,14 @@ def test_zip_contains_the_extension_and_nothing_else(archive):
     assert not [name for name in names if "__pycache__" in name or name.endswith((".pyc", ".blend1"))]
 
 
+def test_every_folder_with_pictures_states_their_license(archive):
+    with zipfile.ZipFile(archive) as packed:
+        names = packed.namelist()
+    pictures = [name for name in names if name.endswith((".png", ".webp", ".gif", ".jpg"))]
+    licensed = tuple(name.removesuffix("LICENSE.txt") for name in names if name.endswith("/LICENSE.txt"))
+    assert len(pictures) > 20 and all(name.startswith(licensed) for name in pictures)
+
+
 def test_zip_contains_the_documentation_as_linked_html(resources):
     manual = resources / "extensions" / "user_default" / "farfield" / "manual"
     pages = sorted(manual.rglob("*.html"))
