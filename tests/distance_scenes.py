@@ -149,7 +149,7 @@ def describe_file() -> dict[str, object]:
         places = [collection.name for collection in item.users_collection]
         found[item.name] = (modifiers, slots, keys, flags, places, [tuple(row) for row in item.matrix_basis])
     scene = bpy.context.scene
-    own = sorted(set(scene.keys()) - {"cycles", "farfield_distance"})  # Settings, which Blender 4.5 keeps there.
+    own = sorted(set(scene.keys()) - {"cycles", "farfield_distance", "farfield_results"})  # Settings, which Blender 4.5 keeps there.
     found["scene"] = (own, scene.cycles.transparent_max_bounces)
     for material in bpy.data.materials:
         found[f"material {material.name}"] = sorted(node.name for node in material.node_tree.nodes)
