@@ -31,7 +31,9 @@ class DistanceSettings(Settings):
         unit=Unit.FRACTION,
     )
     min_triangles: int = setting(500, "Objects with fewer triangles stay as they are", minimum=0, maximum=1_000_000_000)
-    perceptual_levels: bool = setting(True, "Make perceptual levels, meshes with fewer triangles")
+    perceptual_levels: bool = setting(
+        True, "Make meshes with fewer triangles: perceptual levels, decimated meshes of heavy objects, foliage with fewer and larger leaves"
+    )
     billboard_cloud: bool = setting(True, "Make a billboard cloud, a few quads with images of the original, for far away")
     triangle_budget: int = setting(
         0,
