@@ -1,6 +1,7 @@
 """How operators, timers and handlers report results and errors: one line, and the traceback of a defect in a log."""
 
 import functools
+import platform
 from collections.abc import Callable
 
 import bpy
@@ -23,7 +24,8 @@ def describe_error(error: Exception, title: str) -> str:
         return f"{title} needs more memory than is free; close other programs or choose smaller settings."
     if isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] in BUNDLED_MODULES:
         return (
-            f"{title} needs the module {error.name}, which this Blender's Python cannot load; install Farfield's zip in Blender 4.5 to 5.2."
+            f"{title} needs the module {error.name}, which Blender's Python {platform.python_version()} cannot load; install the zip "
+            "of Farfield that is made for it."
         )
     return single_line(defect_message(title, error, write_defect_log(title, error, (f"Blender {blender_version()}",))))
 

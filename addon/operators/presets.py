@@ -95,7 +95,9 @@ class FARFIELD_OT_preset_apply(PresetOperator, bpy.types.Operator):
             for item in preset_settings(group.settings_types):
                 setattr(group, item.name, properties.to_blender(item, preset.values.get(item.name, item.default)))
         count = format_count(len(preset.values), "setting")
-        report_message(self, f'Preset "{self.name}": {count} other than by default.' if self.name else "All settings have their defaults.")
+        report_message(
+            self, f'Preset "{self.name}": {count} changed from the defaults.' if self.name else "All settings have their defaults."
+        )
         return {"FINISHED"}
 
 

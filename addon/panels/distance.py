@@ -7,7 +7,7 @@ from ..bridge.distance.chains import Chain, read_chains
 from ..bridge.distance.placing import has_levels, max_errors, shows_levels
 from ..core.distance.settings import DistanceSettings
 from ..core.json_values import parse_json
-from ..core.messages import format_bytes
+from ..core.messages import format_bytes, format_count
 from ..core.settings import describe
 from ..operators.distance.analysis import OUTCOMES
 from ..operators.distance.measuring import LEVELS, ORIGINALS
@@ -64,7 +64,7 @@ class FARFIELD_UL_distance_plans(bpy.types.UIList):
         """Draw one row."""
         row = layout.split(factor=NAME_PART)
         row.active = item.outcome != "stays" and item.method != "original"
-        row.label(text=f"{item.places:,} x {item.name}" if item.places > 1 else item.name, icon=PLAN_ICONS[item.outcome])
+        row.label(text=item.name, icon=PLAN_ICONS[item.outcome])
         figures = row.split(factor=TRIANGLES_PART)
         figures.alignment = "RIGHT"
         figures.label(text=shorten_number(item.places * item.triangles))
@@ -127,6 +127,12 @@ def draw_plans(layout: bpy.types.UILayout, group: bpy.types.PropertyGroup) -> No
     """Draw the list of an analysis, and the choices for its active row."""
     if not group.plans:
         return
+    titles = layout.split(factor=NAME_PART)
+    titles.label(text="Object")
+    figures = titles.split(factor=TRIANGLES_PART)
+    figures.alignment = "RIGHT"
+    figures.label(text="Triangles")
+    figures.label(text="Size")
     layout.template_list(FARFIELD_UL_distance_plans.bl_idname, "", group, "plans", group, "active_plan", rows=4, maxrows=MAX_ROWS)
     if group.active_plan < len(group.plans):
         plan = group.plans[group.active_plan]
@@ -134,10 +140,8 @@ def draw_plans(layout: bpy.types.UILayout, group: bpy.types.PropertyGroup) -> No
         row = column.row()
         row.enabled = False
         row.prop(plan, "nearest")
-        if plan.image_megabytes:
-            column.label(text=f"{OUTCOMES[plan.outcome]}, {plan.image_megabytes:,.3g} MB of images")
-        else:
-            column.label(text=f"{OUTCOMES[plan.outcome]}, no images")
+        images = f"{plan.image_megabytes:,.3g} MB of images" if plan.image_megabytes else "no images"
+        draw_message(column, f"{format_count(plan.places, 'place')}, {images}. {OUTCOMES[plan.outcome]}", "INFO")
         column.prop(plan, "method")
         if plan.method != "original":
             column.prop(plan, "error_factor")

@@ -8,7 +8,7 @@ import bpy.utils.previews
 from ..operators import documentation, presets
 
 COLUMNS = 3  # pictures side by side
-PICTURE_SIZE = 5.0  # widths of a button
+PICTURE_SIZE = 4.0  # widths of a button
 WIDTHS = {True: 19, False: 12}  # for menus with pictures, and without
 pictures: bpy.utils.previews.ImagePreviewCollection | None = None
 

@@ -152,7 +152,7 @@ def draw_progress_bar(layout: bpy.types.UILayout, disabled_reason: str = "") -> 
 
     If there is none, draw why the tool cannot start one, if it is given.
 
-    The Cancel button is disabled in the half of the job that uses the scene: only its modal operator receives events then, and Esc cancels.
+    There is no Cancel button in the half of the job that uses the scene: only its modal operator receives events then, and Esc cancels.
     """
     run = long_work.current_run()
     if run is None:
@@ -162,9 +162,8 @@ def draw_progress_bar(layout: bpy.types.UILayout, disabled_reason: str = "") -> 
     column = layout.column(align=True)
     row = column.row(align=True)
     row.progress(factor=run.progress.fraction, type="BAR", text=f"{run.progress.fraction:.0%}")
-    button = row.row(align=True)
-    button.enabled = not run.uses_scene and not run.cancel_requested
-    button.operator(long_work.FARFIELD_OT_cancel_job.bl_idname, text="", icon="X")
+    if not run.uses_scene and not run.cancel_requested:
+        row.operator(long_work.FARFIELD_OT_cancel_job.bl_idname, text="", icon="X")
     column.label(text="Cancelling" if run.cancel_requested else run.progress.label)
     seconds = run.seconds_left
     column.label(text="Esc to cancel" if seconds is None else f"{job_run.format_duration(seconds)} left, Esc to cancel", icon="TIME")

@@ -1,4 +1,4 @@
-"""Panels *View-Dependent Unwrap* in the sidebar tab *Farfield* of the 3D Viewport and the UV Editor, and entries of the menus *UV*."""
+"""Panels *Unwrap* in the sidebar tab *Farfield* of the 3D Viewport and the UV Editor, and entries of the menus *UV*."""
 
 from collections.abc import Callable, Sequence
 from typing import ClassVar
@@ -77,7 +77,7 @@ class UnwrapSettingsPanel(SettingsPanel):
 class UnwrapPanel(UnwrapSettingsPanel, ToolPanel):
     """Mixin of the panels in the 3D Viewport and the UV Editor: settings, the Unwrap button, and a summary of the active object's map."""
 
-    bl_label = "View-Dependent Unwrap"
+    bl_label = "Unwrap"
     bl_description = "UV maps with little stretch, evenly or with more texels where they are seen"
     page = "unwrap"
 

@@ -88,6 +88,12 @@ class TestNameAndOrigin:
         select(parts[0], parts[1])
         assert place(combine()) == ("Door Cloud", (0.0, 1.0, 0.0))
 
+    @pytest.mark.parametrize("name", ["Collection", "Collection 2", "Collection.001"])
+    def test_collections_that_have_no_name_of_the_user_do_not_count(self, parts, name):
+        collect(name, *parts)
+        select(parts[1], parts[0], parts[2])
+        assert "Collection" not in place(combine())[0]
+
     def test_of_a_single_object_are_its_own(self, parts):
         collect("House", parts[0])
         parts[0].parent = empty("Root", (1.0, 1.0, 1.0))

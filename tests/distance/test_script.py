@@ -31,7 +31,7 @@ def scene_file(tmp_path):
 def test_the_scene_and_the_report(scene_file):
     out, report = scene_file.with_name("ready.blend"), scene_file.with_name("report.json")
     message = run(scene_file, "--out", out, "--report", report, "--min-triangles", "10", "--no-billboard-cloud")
-    assert message.startswith("Distance-ready: 1 object at 1 place.")
+    assert message.startswith("Distance-ready: 1 object at 1 place; this frame has ")
     (figures,) = json.loads(report.read_text(encoding="utf-8"))["objects"]
     assert figures["name"] == "Balle" and figures["places"] == 1 and len(figures["levels"]) >= 2
     bpy.ops.wm.open_mainfile(filepath=str(out))

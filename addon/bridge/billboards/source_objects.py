@@ -3,6 +3,7 @@
 Proxies are the same evaluated meshes with copies of their materials, since a cross-fade adds a node to materials.
 """
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -20,6 +21,7 @@ from ..rendering.render_properties import copy_render_properties
 from .cloud_materials import create_gray_material
 from .clouds import KIND
 
+UNNAMED = re.compile(r"Collection( \d+)?(\.\d+)?")  # The names that Blender gives to collections.
 SOURCE_PROXY = "source_proxy"  # Value of farfield_kind.
 
 
@@ -47,7 +49,8 @@ def read_combined(objects: list[bpy.types.Object], depsgraph: bpy.types.Depsgrap
     """Read `objects` as one source, see `read_source`.
 
     Several objects have the name and the origin of their nearest common parent, which may be one of them. Without one they have the origin
-    of the first object, and the name of the smallest collection of which they are all that can be seen, otherwise that of the first.
+    of the first object, and the name of the smallest collection of which they are all that can be seen and to which a user has given a
+    name, otherwise that of the first.
     """
     source = meshes.read_source(objects, depsgraph)
     read = {instance.object_uid for instance in source.instances}
@@ -78,6 +81,8 @@ def _find_collection_name(items: Sequence[bpy.types.Object]) -> str:
     names = {}
     for collection in bpy.data.collections:
         members = set(collection.all_objects)
+        if UNNAMED.fullmatch(collection.name):
+            continue
         if wanted <= members and not any(meshes.may_have_surface(item) and item.visible_get() for item in members - wanted):
             names[len(members)] = names.get(len(members), collection.name)
     return names[min(names)] if names else ""

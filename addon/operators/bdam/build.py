@@ -220,6 +220,8 @@ class FARFIELD_OT_bdam_build(start_job.StartJob, bpy.types.Operator):
         sources = _read_paths(self.sources if is_given("sources") else panel.sources)
         images = _read_paths(self.images if is_given("images") or is_given("sources") else panel.images)
         folder = self.store if is_given("store") else panel.store
+        if not sources:
+            raise SettingsError("The terrain needs at least one elevation model; add files, and a folder for it is proposed.")
         if not folder:
             raise SettingsError("The terrain needs a folder; set Store.", ("store",))
         store = absolute_path(folder)

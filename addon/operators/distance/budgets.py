@@ -63,12 +63,12 @@ class Budget:
         return max(totals)
 
     def describe(self, error: float, other_triangles: int) -> str:
-        """Return sentences about the heaviest frame with the given error, and about the budget."""
+        """Return the end of a sentence about the heaviest frame with the given error, and sentences about the budget."""
         full = other_triangles + sum(asset.triangles * len(asset.matrices) for asset, _, _ in self._chains)
         if not self._placed:
-            return f"In full, all places have {full:,} triangles."
+            return f"in full, they have {full:,} triangles."
         found = self._forecast(error)
-        frames = "This frame" if self._frames == 1 else f"The heaviest of {format_count(self._frames, 'frame')}"
+        frames = "this frame" if self._frames == 1 else f"the heaviest of {format_count(self._frames, 'frame')}"
         sentences = [f"{frames} has {int(found.triangles.max()) + other_triangles:,} triangles instead of {full:,}"]
         sentences[0] += f", and {format_bytes(self._count_bytes(found))} of images."
         if not self._fits(error, other_triangles):

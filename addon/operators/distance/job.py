@@ -126,8 +126,7 @@ class DistanceJob:
         places = sum(count for chain, count, _ in self.chains if len(chain.collections) > 1)
         alone = [chain.name for chain, _, _ in self.chains if len(chain.collections) == 1]
         sentences = [
-            f"Distance-ready: {format_count(len(ready), 'object')} at {format_count(places, 'place')}.",
-            figures,
+            f"Distance-ready: {format_count(len(ready), 'object')} at {format_count(places, 'place')}; {figures}",
             "" if read_scene_camera(scene) is not None else "Add a camera: without one, all places show the original.",
             f"No lighter levels were found for {quote_names(alone[:3])}." if alone else "",
             describe_bounces(scene),

@@ -66,7 +66,7 @@ class MeasureJob:
         with _prepared(scene) as folder:
             for number, frame in enumerate(frames):
                 for half, (name, is_shown) in enumerate(((ORIGINALS, False), (LEVELS, True))):
-                    yield Progress((number + 0.5 * half) / len(frames), f"Frame {frame} with {name}")
+                    yield Progress((number + 0.5 * half) / len(frames), f"Rendering frame {frame} with {name}")
                     if frame != scene.frame_current:
                         scene.frame_set(frame)
                     show_levels(scene, is_shown)

@@ -79,7 +79,7 @@ class FARFIELD_OT_distance_analyze(bpy.types.Operator):
         left_out = f" Skipped: {list_first(skipped)}." if skipped else ""
         counts = f"{format_count(len(plans), 'object')} at {format_count(places, 'place')}"
         unique = f"{sum(plan.triangles for plan in plans):,} without repetitions"
-        report_message(self, f"{counts} have {format_count(triangles, 'triangle')}, {unique}.{left_out}")
+        report_message(self, f"{format_count(triangles, 'triangle')} in {counts}, {unique}.{left_out}")
         return {"FINISHED"}
 
 
@@ -97,7 +97,7 @@ class LevelsOperator:
 
 class FARFIELD_OT_distance_measure(long_work.LongWork, bpy.types.Operator):
     """Render up to three frames with the originals and with levels by distance, with at most 32 samples, and compare time, memory and the
-    images"""
+    images. Blender waits for each render; Esc cancels between them"""
 
     bl_idname = "farfield.distance_measure"
     bl_label = "Measure Levels by Distance"

@@ -19,7 +19,7 @@ from .job import UnwrapJob, prepare
 
 
 class FARFIELD_PG_unwrap(bpy.types.PropertyGroup):
-    """Settings of the panel *View-Dependent Unwrap*, stored per scene."""
+    """Settings of the panel *Unwrap*, stored per scene."""
 
     settings_types = (UnwrapSettings,)
     __annotations__ = properties.build_annotations(UnwrapSettings, set())
