@@ -49,11 +49,13 @@ def fitted(crown):
 
 
 def sum_colors(items, source):
-    """Return the sums (2, 4) of color and coverage of two renders of `items` under the sky from directions that the fit does not use."""
+    """Return the sums (6, 4) of color and coverage of six renders of `items` under the sky from directions that the fit does not use."""
     center = source.mesh.vertices.mean(axis=0)
     with open_studio(items, 8) as studio:
         studio.sun.hide_render = True
-        directions = np.array([[0.6, -0.64, 0.48], [-0.48, 0.6, 0.64]])
+        directions = np.array(
+            [[0.6, -0.64, 0.48], [-0.48, 0.6, 0.64], [0.64, 0.6, 0.48], [-0.6, -0.64, 0.48], [0.6, 0.0, 0.8], [0.0, -0.8, 0.6]]
+        )
         return np.array([studio.render(items, direction, center, 0.03, 100).sum(axis=(0, 1)) for direction in directions])
 
 
@@ -63,7 +65,8 @@ def test_crowns_are_as_bright_as_their_source(crown, fitted):
     before, after = (
         sum_colors([create_level_object("Crown", cloud.levels[0], maps, source.origin)], source) / wanted for maps in (textures[0], fitted)
     )
-    assert (np.abs(after[:, 1] / after[:, 3] - 1.0) < 0.03).all()
+    ratios = after[:, 1] / after[:, 3]
+    assert abs(ratios.mean() - 1.0) < 0.02 and (np.abs(ratios - 1.0) < 0.05).all()  # Directions differ by noise, which processors change.
     assert np.abs(after - 1.0).sum() < np.abs(before - 1.0).sum()
 
 
