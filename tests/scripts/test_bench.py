@@ -53,10 +53,10 @@ def test_the_page_has_ratios_and_what_was_skipped_or_failed():
 
 @pytest.mark.slow
 def test_a_short_benchmark_runs_and_one_that_fails_is_named(tmp_path, monkeypatch):
-    short = {"unwrap": {"bench_unwrap.py": "--only disks --models outline_0"}, "clipbox": {"bench_clipbox.py": "--only nothing"}}
+    short = {"clipbox": {"bench_clipbox.py": "--only extraction --repeats 1"}, "bdam": {"bench_bdam.py": "--only nothing"}}
     monkeypatch.setattr(bench, "BENCHMARKS", short)
     monkeypatch.setattr(sys, "argv", ["bench.py", "--out", str(tmp_path)])
     assert bench.main() == 1
     page = (tmp_path / "index.md").read_text(encoding="utf-8")
-    assert "outline_0" in json.loads((tmp_path / "bench_unwrap.json").read_text(encoding="utf-8"))["disks"]
-    assert "[bench_unwrap.json](bench_unwrap.json)" in page and "**Failed**" in page and "'nothing'" in page
+    assert "extraction" in json.loads((tmp_path / "bench_clipbox.json").read_text(encoding="utf-8"))
+    assert "[bench_clipbox.json](bench_clipbox.json)" in page and "**Failed**" in page and "'nothing'" in page
