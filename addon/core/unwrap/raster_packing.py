@@ -5,6 +5,7 @@ Where a chart fits is the correlation of its raster with the occupied cells, by 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import fft, ndimage
@@ -52,16 +53,24 @@ class RasterGrid:
         return cls(rows, columns, int(np.ceil(margin / cell_texels - 1e-6)), cell_texels)
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class _Raster:
-    """The cells (H, W) bool that a chart covers, and those that it keeps free; turn_count: how many quarter turns are tried."""
+    """The cells (H, W) bool that a chart covers, and those that it keeps free; turn_count: how many quarter turns are tried.
+
+    transform: of the covered cells, where a chart is placed several times; None before the first time.
+    """
 
     covered: np.ndarray
     kept_free: np.ndarray
     turn_count: int
+    transform: np.ndarray | None = None
 
-    def turned(self, turns: int) -> "_Raster":
-        return _Raster(np.rot90(self.covered, -turns), np.rot90(self.kept_free, -turns), 1)  # Rows run upwards.
+    @cached_property
+    def turned(self) -> "list[_Raster]":
+        """The raster after each quarter turn; without the last two if a half turn changes nothing."""
+        is_symmetric = np.array_equal(self.covered, np.rot90(self.covered, 2))
+        count = min(self.turn_count, 2) if is_symmetric else self.turn_count
+        return [_Raster(np.rot90(self.covered, -turns), np.rot90(self.kept_free, -turns), 1) for turns in range(count)]  # Rows run upwards.
 
 
 def place_charts(
@@ -100,8 +109,9 @@ def place_charts(
         shapes = np.array([raster.covered.shape for raster in rasters])
         sizes = shapes.prod(axis=1), shapes.max(axis=1), np.array([raster.kept_free.sum() for raster in rasters])
         packings = []
-        for size in sizes[: 1 if len(uvs) > MAX_CHARTS_IN_ALL_ORDERS else 3]:
-            tiles = _Tiles(grid, border if density > 0.0 else 0, max_tiles, density > 0.0)
+        order_count = 1 if len(uvs) > MAX_CHARTS_IN_ALL_ORDERS else 3
+        for size in sizes[:order_count]:
+            tiles = _Tiles(grid, border if density > 0.0 else 0, max_tiles, density > 0.0, keeps_transforms=order_count > 1)
             placed = yield from tiles.place_all(rasters, np.argsort(-size, kind="stable"))
             if not placed:
                 break
@@ -150,14 +160,15 @@ class _Tiles:
         side: of the used rectangle in all tiles, relative to that of a tile, times `GRID_SIDE`.
     """
 
-    def __init__(self, grid: RasterGrid, border: int, max_count: int, one_by_one: bool) -> None:
+    def __init__(self, grid: RasterGrid, border: int, max_count: int, one_by_one: bool, keeps_transforms: bool) -> None:
         """Prepare empty tiles with a `border` of cells around `grid`.
 
         one_by_one: place a chart in the first tile where it fits, instead of where all tiles grow least.
+        keeps_transforms: of rasters, which take memory, for other orders.
         """
+        self._keeps_transforms = keeps_transforms
         self._shape = grid.rows + 2 * border, grid.columns + 2 * border
         self._padded = tuple(fft.next_fast_len(side, real=True) for side in self._shape)
-        self._rows, self._columns = np.arange(self._shape[0])[:, None], np.arange(self._shape[1])
         self._scale = GRID_SIDE / grid.rows, GRID_SIDE / grid.columns
         self._max_count, self._one_by_one = max_count, one_by_one
         self._transforms: dict[int, np.ndarray] = {}
@@ -184,38 +195,40 @@ class _Tiles:
                 break
             if tile == len(self.occupied):
                 self.occupied.append(np.zeros(self._shape, np.float32))
-            for turns in range(raster.turn_count):
-                turned = raster.turned(turns)
-                if turns >= 2 and np.array_equal(turned.covered, np.rot90(turned.covered, 2)):
-                    break
-                cost = self._costs(tile, turned)
-                if cost.size and cost.min() < best:
-                    position = int(cost.argmin())
-                    best, place = float(cost.flat[position]), (tile, turns, *divmod(position, cost.shape[1]))
+            for turns, turned in enumerate(raster.turned):
+                cost, row, column = self._find_best(tile, turned)
+                if cost < best:
+                    best, place = cost, (tile, turns, row, column)
         if place is None:
             return None
         tile, turns, row, column = place
         if not self.occupied[-1].any() and tile < len(self.occupied) - 1:
             self.occupied.pop()
-        kept_free = raster.turned(turns).kept_free
+        kept_free = raster.turned[turns].kept_free
         height, width = kept_free.shape
         self.occupied[tile][row : row + height, column : column + width] += kept_free
         self._transforms.pop(tile, None)
         self.side = max(self.side, self._scale[0] * (row + height), self._scale[1] * (column + width))
         return place
 
-    def _costs(self, tile: int, raster: _Raster) -> np.ndarray:
-        """Return the cost (R, C) of placing a raster at each row and column of a tile: infinite where it overlaps another one."""
+    def _find_best(self, tile: int, raster: _Raster) -> tuple[float, int, int]:
+        """Return the lowest cost of placing a raster in a tile, infinite where none fits, with its row and column."""
         height, width = raster.covered.shape
         if height > self._shape[0] or width > self._shape[1]:
-            return np.zeros((0, 0))
-        rows, columns = self._rows[: self._shape[0] - height + 1], self._columns[: self._shape[1] - width + 1]
+            return np.inf, 0, 0
+        is_free = self._find_free(tile, raster)
+        rows = np.flatnonzero(is_free.any(axis=1))
+        if not len(rows):
+            return np.inf, 0, 0
+        columns = is_free[rows].argmax(axis=1)  # The first one that is free: costs grow along each row.
         cost = np.maximum(np.maximum(self._scale[0] * (rows + height), self._scale[1] * (columns + width)), self.side)
         cost = GRID_SIDE * cost + 0.5 * (self._scale[0] * rows + self._scale[1] * columns)
-        return np.where(self._find_free(tile, raster.covered), cost, np.inf)
+        best = int(cost.argmin())
+        return float(cost[best]), int(rows[best]), int(columns[best])
 
-    def _find_free(self, tile: int, covered: np.ndarray) -> np.ndarray:
-        """Return at which rows and columns of a tile the cells `covered` (H, W) by a raster are free."""
+    def _find_free(self, tile: int, raster: _Raster) -> np.ndarray:
+        """Return at which rows and columns of a tile the covered cells of a raster are free."""
+        covered = raster.covered
         height, width = (side - length + 1 for side, length in zip(self._shape, covered.shape, strict=True))
         if covered.sum() <= MAX_CELLS_BY_SHIFTING:
             is_taken, is_occupied = np.zeros((height, width), bool), self.occupied[tile] > 0.0
@@ -224,5 +237,9 @@ class _Tiles:
             return ~is_taken
         if tile not in self._transforms:
             self._transforms[tile] = fft.rfft2(self.occupied[tile], self._padded)
-        overlap = fft.irfft2(self._transforms[tile] * np.conj(fft.rfft2(covered.astype(np.float32), self._padded)), self._padded)
+        transform = raster.transform
+        if transform is None:
+            transform = np.conj(fft.rfft2(covered.astype(np.float32), self._padded))
+            raster.transform = transform if self._keeps_transforms else None
+        overlap = fft.irfft2(self._transforms[tile] * transform, self._padded)
         return overlap[:height, :width] < 0.5
