@@ -4,6 +4,7 @@ import bpy
 import numpy as np
 import pytest
 
+from bridge.solid_views import shown_image
 from farfield.addon.bridge.lod_crossfade import CROSSFADE
 from farfield.addon.bridge.texmesh.level_sets import ERROR, level_sets_in
 from farfield.addon.bridge.texmesh.scale_attributes import SCALE_ATTRIBUTE, read_scales
@@ -53,6 +54,14 @@ def test_materials_of_the_original_stay(ball):
     assert ball.data.materials[0] == material and len(material.node_tree.nodes) == nodes
     copies = {level.data.materials[0] for level in levels}
     assert len(copies) == 1 and material not in copies
+
+
+def test_solid_views_show_the_color_of_levels_whichever_node_of_the_original_is_active(ball):
+    tree = ball.data.materials[0].node_tree
+    data = tree.nodes.active = tree.nodes.new("ShaderNodeTexImage")
+    data.image = bpy.data.images.new("Data", 8, 8, is_data=True)
+    assert all(shown_image(level.data.materials[0]).name == "Checker" for level in make())
+    assert shown_image(ball.data.materials[0]) == data.image
 
 
 def test_levels_render_with_the_settings_of_their_object(ball):

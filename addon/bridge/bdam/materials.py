@@ -7,6 +7,7 @@ import bpy
 
 from ...core.bdam.textures.tile_blocks import CodedTile
 from ..shading.node_builder import NodeBuilder, create_node_material, ensure_shared_group
+from ..shading.solid_view import show_image
 
 GROUND_GROUP, GROUND_VERSION = "Farfield Terrain Ground", 1
 LEVEL_ATTRIBUTE = "terrain_level"  # attribute of faces: the level of the patch
@@ -55,6 +56,7 @@ def create_texture_material(name: str, color: bpy.types.Image, alpha: bpy.types.
     if alpha is not None:
         opacity = builder.node("ShaderNodeTexImage", {"image": alpha, "extension": "EXTEND", "label": "Alpha"}).outputs["Color"]
     _finish(builder, image.outputs["Color"], opacity)
+    show_image(material, color)
     return material
 
 

@@ -9,6 +9,7 @@ import bpy
 
 from ..shading.node_builder import NodeBuilder, SocketOrValue, create_node_material, ensure_shared_group
 from ..shading.shared_parameters import Value
+from ..shading.solid_view import show_image
 from ..shading.surface_layers import COAT, EMISSION, HDR_LAYERS, SHEEN, SPECULAR, TRANSLUCENCY, TRANSMISSION
 
 GROUP_NAME = "Farfield Cloud"
@@ -67,7 +68,7 @@ def create_cloud_material(
     for parameter, value in parameters.items():
         builder.connect(value, group.inputs[parameter])
     builder.arrange()
-    next(node for node in material.node_tree.nodes if node.label == FRONT_COLOR).show_texture = True
+    show_image(material, images[SIDES[0], COLOR])
     return material
 
 

@@ -11,6 +11,7 @@ from ...core.errors import GeometryError
 from ..geometry.evaluated_mesh import MaterialKey
 from ..geometry.meshes import SourceInstance, find_material
 from ..shading.node_builder import NodeBuilder
+from ..shading.solid_view import show_image
 from ..shading.surface_reader import find_output
 from .results import TEXTURE_PROPERTY, add_texture, create_material, keep_unused
 
@@ -137,6 +138,7 @@ def _copy_with_texture(material: bpy.types.Material, shader_name: str, image: bp
         own = next((link.from_socket for link in shader.inputs["Alpha"].links), shader.inputs["Alpha"].default_value)
         builder = NodeBuilder(tree)
         builder.connect(builder.math("MULTIPLY", texture.outputs["Alpha"], own), shader.inputs["Alpha"])
+    show_image(copy, image)
     return copy
 
 

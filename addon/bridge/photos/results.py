@@ -11,6 +11,7 @@ from ...compat import enable_nodes
 from ...core.photos.photo_texture import PhotoTexture
 from ...core.photos.texels.pages import FIRST_TILE, PageLayout
 from ..imaging.images import EXTENSIONS, create_image, open_tiles, pack_tiles, save_pixels
+from ..shading.solid_view import show_image
 
 IMAGE_NODE_OFFSET = (-330, 0)  # from the shader
 OVERLAY_PROPERTY = "farfield_photo_overlay"  # custom property of images that `create_overlay_image` made
@@ -74,6 +75,7 @@ def create_material(name: str, image: bpy.types.Image, has_alpha: bool) -> bpy.t
         tree.links.new(texture.outputs["Alpha"], shader.inputs["Alpha"])
     shader.inputs["Roughness"].default_value = 1.0
     shader.inputs["Specular IOR Level"].default_value = 0.0
+    show_image(material, image)
     return material
 
 

@@ -6,11 +6,10 @@ from contextlib import contextmanager
 import bpy
 import numpy as np
 
-from ...compat import uses_nodes
 from ..imaging.color_spaces import read_linear_pixels
 from ..imaging.images import check_pixels
-from ..shading.socket_sources import ScopedSocket, find_source
-from ..shading.surface_reader import find_output, list_color_inputs, read_surface
+from ..shading.color_textures import find_color_textures
+from ..shading.surface_reader import read_surface
 from ..shading.texture_uses import read_texture_use
 
 MAX_SIDE = 4096  # pixels; larger images are halved until they fit
@@ -22,11 +21,8 @@ def find_color_images(material: bpy.types.Material | None) -> list[tuple[bpy.typ
 
     Links are followed from the active output, through groups and reroutes. Images for roughness, normals and other inputs do not count.
     """
-    if material is None or not uses_nodes(material) or material.node_tree is None:
-        return []
-    output = find_output(material.node_tree)
     found: dict[bpy.types.Image, str] = {}
-    for source in () if output is None else _image_outputs(ScopedSocket(output.inputs["Surface"])):
+    for source in () if material is None else find_color_textures(material):
         found.setdefault(source.node.image, read_texture_use(source).uv_map)
     return list(found.items())
 
@@ -67,33 +63,3 @@ def scaled_copy(image: bpy.types.Image, max_side: int) -> Iterator[bpy.types.Ima
 
 def _read_colors(image: bpy.types.Image) -> np.ndarray:
     return np.ascontiguousarray(read_linear_pixels(image)[..., :3])
-
-
-def _image_outputs(surface: ScopedSocket) -> Iterator[ScopedSocket]:
-    """Yield the outputs of image texture nodes before the input `surface`, depth-first, that determine colors."""
-    visited: set[ScopedSocket] = set()
-    pending = [surface]
-    while pending:
-        source = find_source(pending.pop())
-        if source.is_constant or source in visited:
-            continue
-        visited.add(source)
-        if source.node.type != "TEX_IMAGE":
-            pending += [ScopedSocket(item, source.groups) for item in _color_inputs(source.node)]
-        elif source.node.image is not None:
-            yield source
-
-
-def _color_inputs(node: bpy.types.Node) -> list[bpy.types.NodeSocket]:
-    """Return the linked inputs of a node that determine its color, in the order in which a stack should hold them: the nearest one last."""
-    linked = [item for item in node.inputs if item.links]
-    shaders = [item for item in linked if item.type == "SHADER"]
-    colors = [item for item in list_color_inputs(node) if item.links]
-    if any(item.type == "SHADER" for item in node.outputs):
-        return shaders[::-1] or colors[:1]
-    if colors:
-        return colors[:1]
-    if node.type.startswith("TEX_"):  # their vectors are positions
-        return []
-    first = [item for item in linked if item.type in ("RGBA", "SHADER")]
-    return [*(item for item in reversed(linked) if item not in first), *reversed(first)]

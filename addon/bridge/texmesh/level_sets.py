@@ -21,6 +21,7 @@ from ..lod_sets import ERROR, KIND, NUMBER, LodSet, set_hidden
 from ..objects import world_matrix
 from ..rendering import render_properties
 from ..rendering.render_properties import copy_render_properties
+from ..shading.solid_view import show_color_image
 from ..source_links import store_sources
 from .rigs import follow_parent, follow_rig, moves_with_armature
 from .temporary_visibility import restore
@@ -239,4 +240,5 @@ def _copy_material(material: bpy.types.Material) -> bpy.types.Material:
     copy = material.copy()
     copy.use_transparent_shadow = True
     copy[MATERIAL] = material.name
+    show_color_image(copy)
     return copy

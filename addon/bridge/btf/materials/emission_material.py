@@ -14,6 +14,7 @@ from ....core.btf.reflectance.lobes import GrazingFresnel
 from ....core.btf.tables import LookupTables
 from ...billboards.cloud_materials import create_two_sided_material
 from ...shading.node_builder import NodeBuilder, SocketOrValue
+from ...shading.solid_view import show_image
 from .nodes.lobe_nodes import TexelLobes, add_dome_response, add_sun_response, decode_facing_normal
 from .nodes.parallax_nodes import parallax_uv
 from .nodes.radiance_nodes import build_sun_group
@@ -151,6 +152,7 @@ def build_relightable_material(name: str, images: BtfImages, tables: LookupTable
         color = builder.vector("ADD", color, sample_image(builder, images.emission, EMISSION)[0])
     _add_output(builder, color, _decode_alpha(builder, tables, images, view))
     builder.arrange()
+    show_image(material, images.pbr_color)
     return material
 
 

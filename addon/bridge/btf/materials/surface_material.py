@@ -28,6 +28,7 @@ from ...billboards.cloud_materials import (
 )
 from ...shading.node_builder import NodeBuilder, SocketOrValue, create_group
 from ...shading.shared_parameters import Value, write_parameters
+from ...shading.solid_view import show_image
 from .emission_material import ALPHA_BASIS, ALPHA_WEIGHTS
 from .nodes.parallax_nodes import depth_uv
 from .nodes.table_nodes import map_uv, sample_weights, weighted_scalar_sum
@@ -76,6 +77,7 @@ def build_surface_material(
         node.inputs[LIGHT_COVERAGE].default_value = DEFAULT_LIGHT_COVERAGE
         builder.connect(node.outputs[0], builder.node("ShaderNodeOutputMaterial", {"target": engine}).inputs["Surface"])
     builder.arrange()
+    show_image(material, images.maps[SIDES[0], COLOR])
     return material
 
 
