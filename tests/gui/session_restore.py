@@ -1,4 +1,4 @@
-"""A session in a Blender window: paints a mask in the Image Editor, cancels once, restores the image, compares, and undoes it."""
+"""A session in a Blender window: paints a mask in the Image Editor, cancels once, restores the image, compares, undoes and redoes."""
 
 import sys
 from collections.abc import Iterator
@@ -91,6 +91,11 @@ def wall_image() -> str:
     return next(node.image.name for node in nodes if node.type == "TEX_IMAGE")
 
 
+def shown_name(user: ImageEditorInput) -> str | None:
+    """Return the name of the image in the editor, None if it is empty."""
+    return user.shown.name if user.shown else None
+
+
 def session() -> Iterator[float]:
     """Run the session; yields pauses in seconds."""
     user = ImageEditorInput()
@@ -158,8 +163,23 @@ def session() -> Iterator[float]:
 
     yield from user.press_undo()
     yield 2.0
-    results["after_undo"] = {"images": scene_state()["images"], "used": wall_image()}
+    results["after_undo"] = {"images": scene_state()["images"], "used": wall_image(), "shown": shown_name(user)}
     save_screenshot("8-undone")
+    yield from user.press_undo(redo=True)
+    yield 2.0
+    results["after_redo"] = {"shown": shown_name(user), "used": wall_image()}
+    results["same_pixels_after_redo"] = user.shown is not None and bool(np.array_equal(read(user.shown), restored))
+    save_screenshot("9-redone")
+
+    yield from user.press_and_start("farfield.restore_variant")
+    yield from wait_for_job()
+    yield 2.0
+    results["variants"] = [shown_name(user)]
+    for redo in (False, False, True, True):
+        yield from user.press_undo(redo=redo)
+        yield 2.0
+        results["variants"].append(shown_name(user))
+    save_screenshot("10-variant-redone")
 
 
 start_session(session)

@@ -1,4 +1,4 @@
-"""Restoring an image in a real window: painting the mask, progress, Esc, the outline, before and after, and undo."""
+"""Restoring an image in a real window: painting the mask, progress, Esc, the outline, before and after, undo and redo."""
 
 import pytest
 
@@ -52,3 +52,13 @@ def test_before_and_after(results):
 
 def test_one_undo_removes_the_result(results):
     assert f"{NAME} restored" not in results["after_undo"]["images"] and results["after_undo"]["used"] == NAME
+
+
+def test_the_editor_shows_the_photograph_after_undo_and_the_result_after_redo(results):
+    assert results["after_undo"]["shown"] == NAME
+    assert results["after_redo"] == {"shown": f"{NAME} restored", "used": f"{NAME} restored"} and results["same_pixels_after_redo"]
+
+
+def test_undo_and_redo_step_through_several_results(results):
+    first, second = f"{NAME} restored", f"{NAME} restored.001"
+    assert results["variants"] == [second, first, NAME, first, second]

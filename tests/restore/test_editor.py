@@ -93,6 +93,40 @@ def test_a_uv_editor_becomes_an_image_editor_to_paint_and_stays_one_otherwise(ed
     assert (area.ui_type, area.spaces.active.ui_mode) == ("IMAGE_EDITOR", "PAINT")
 
 
+def test_undo_and_redo_let_editors_show_what_they_showed(editor):
+    bpy.context.preferences.edit.use_global_undo = True
+    first, second = (area.spaces.active for area in editor)
+    first.image = second.image = new_image("source", ramp())
+
+    def state():
+        return [(space.image.name if space.image else None, space.ui_mode) for space in (first, second)]
+
+    bpy.ops.ed.undo_push(message="Open")
+    states = [state()]
+    bpy.ops.farfield.restore_mask()
+    first.image.pixels.foreach_set(np.dstack([hole()] * 3 + [np.ones((HEIGHT, WIDTH))]).astype(np.float32).ravel())
+    bpy.ops.ed.undo_push(message="Mask")
+    states.append(state())
+    bpy.ops.farfield.restore_image(**FAST)
+    bpy.ops.ed.undo_push(message="Restore")
+    states.append(state())
+    names = [[name for name, _ in each] for each in states]
+    assert names == [["source", "source"], ["source mask", "source"], ["source restored", "source"]]
+    for _ in range(2):
+        for expected in reversed(states[:-1]):
+            bpy.ops.ed.undo()
+            assert state() == expected
+        for expected in states[1:]:
+            bpy.ops.ed.redo()
+            assert state() == expected
+    second.image = first.image
+    bpy.ops.ed.undo()
+    assert [name for name, _ in state()] == ["source mask", "source mask"], "also in an editor where the user opened the result"
+    second.image = bpy.data.images["source"]
+    bpy.ops.ed.redo()
+    assert [name for name, _ in state()] == ["source restored", "source"], "not where another image was opened in between"
+
+
 def test_masks_of_tiled_images_have_the_same_tiles(empty_scene):
     source = bpy.data.images.new("rock", 16, 8, tiled=True)
     source.tiles.active = source.tiles.new(1012)

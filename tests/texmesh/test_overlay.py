@@ -101,6 +101,23 @@ def test_an_analyzed_mesh_has_a_plot_of_its_features(ball):
     assert tuple(bpy.data.images["Ball Scale Plot"].size) == (720, 420)
 
 
+def test_editors_show_the_former_plot_after_undo_and_the_new_one_after_redo(ball):
+    bpy.context.preferences.edit.use_global_undo = True
+    area = bpy.context.window_manager.windows[0].screen.areas[0]
+    area.ui_type = "IMAGE_EDITOR"
+    shown = []
+    for _ in range(2):
+        bpy.ops.ed.undo_push(message="Before")
+        bpy.ops.farfield.texmesh_plot()
+        bpy.ops.ed.undo_push(message="Plot")
+        area.spaces.active.image = bpy.data.images["Ball Scale Plot"]
+        shown.append(area.spaces.active.image.session_uid)
+    bpy.ops.ed.undo()
+    assert area.spaces.active.image.session_uid == shown[0]
+    bpy.ops.ed.redo()
+    assert area.spaces.active.image.session_uid == shown[1]
+
+
 def test_others_have_none():
     bpy.ops.mesh.primitive_cube_add()
     with pytest.raises(RuntimeError, match="Select an object with levels"):

@@ -108,6 +108,7 @@ class RestoreJob:
         sources, skipped = [each.find() for each in self.maps], []
         for source, image in zip(sources, images, strict=True):
             image[image_users.ORIGINAL_PROPERTY] = source
+            image_editors.remember_former(image, source)
             skipped += image_users.replace_image(source, image) if self.masks.replace_in_materials else []
             image.use_fake_user = image.users == 0
         image_editors.show_image(self.editor, images[0])

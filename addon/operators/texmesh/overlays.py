@@ -14,7 +14,7 @@ from ...core.errors import SettingsError
 from ...core.texmesh.figures import read_figures, step_function
 from ...core.texmesh.scale_space.features import SCALES
 from ...core.texmesh.settings import InspectionSettings
-from .. import long_work, properties
+from .. import image_editors, long_work, properties
 from ..error_reports import report_message, reports_errors
 
 NO_SCALES = "Analyze a mesh first"
@@ -124,7 +124,9 @@ def _replace_image(name: str, pixels: np.ndarray) -> bpy.types.Image:
     """Create an image; what uses an earlier one of this name shows the new one."""
     earlier = bpy.data.images.get(name)
     image = create_image(name, pixels, is_data=False)
-    if earlier is not None and earlier.library is None:
+    replaces = earlier is not None and earlier.library is None
+    image_editors.remember_former(image, earlier if replaces else None)
+    if replaces:
         earlier.user_remap(image)
         bpy.data.images.remove(earlier)
         image.name = name
