@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from farfield.addon.core.distance.aggregates import AggregateLevel, Elements, count_triangles, find_elements, simplify_elements
-from farfield.addon.core.distance.deviation import DETAIL_SIZE, measure_pixel_size
+from farfield.addon.core.distance.deviation import DETAIL_SIZE, measure_pixel_size, measure_texture_shift
 from farfield.addon.core.geometry.mesh import face_areas_and_normals
 
 COUNT = 1024
@@ -130,3 +130,12 @@ def test_the_pixel_size_of_a_simplified_mesh_is_that_of_its_smallest_detail():
     points = np.column_stack([random.uniform(0.1, 0.9, (5000, 2)), np.full(5000, 0.01)])
     corners = np.array([[(-1, -1, 0), (3, -1, 0), (-1, 3, 0)]], float)
     assert measure_pixel_size(points, corners) == pytest.approx(DETAIL_SIZE * 0.01)
+
+
+def test_a_texture_moves_on_the_surface_by_its_shift_in_the_map():
+    square = np.array([(0.0, 0.0, 0.0), (2.0, 0.0, 0.0), (2.0, 2.0, 0.0), (0.0, 2.0, 0.0)])
+    corners = square[[[0, 1, 2], [0, 2, 3]]]
+    uvs = 0.5 * corners[..., :2]  # A unit of the texture is 2 long.
+    assert measure_texture_shift(corners, uvs, corners, uvs) == pytest.approx(0.0, abs=1e-12)
+    assert measure_texture_shift(corners, uvs, corners + [0.0, 0.0, 0.3], uvs + [0.1, 0.0]) == pytest.approx(0.2)
+    assert measure_texture_shift(corners, np.zeros_like(uvs), corners, uvs) == 0.0, "nothing of the texture is on the surface"

@@ -139,9 +139,12 @@ def test_foliage_gets_fewer_and_larger_leaves_instead_of_a_cloud(camera):
     assert describe_file() == before
 
 
-def test_a_heavy_object_is_decimated(camera, monkeypatch):
-    monkeypatch.setattr(distance_build, "MAX_PERCEPTUAL_TRIANGLES", 100)
+@pytest.mark.parametrize("is_textured", [True, False])
+def test_a_heavy_object_is_decimated(camera, monkeypatch, is_textured):
+    monkeypatch.setattr(distance_build, "MAX_TEXTURED_TRIANGLES" if is_textured else "MAX_PERCEPTUAL_TRIANGLES", 100)
     ball = textured_ball(16, "Ball")
+    if not is_textured:
+        bpy.data.batch_remove([image for image in bpy.data.images if image.users])
     total = count_triangles(ball)
     before = describe_file()
     build(**QUICK)

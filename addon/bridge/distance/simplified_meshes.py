@@ -7,13 +7,14 @@ import bpy
 import numpy as np
 
 from ...core.distance.aggregates import Elements, count_triangles, find_elements, simplify_elements
-from ...core.distance.deviation import measure_pixel_size
+from ...core.distance.deviation import measure_pixel_size, measure_texture_shift
 from ...core.geometry.mesh import face_areas_and_normals, longest_side
 from ...core.jobs.progress import Progress, Steps
 from ..geometry.evaluated_mesh import EvaluatedMesh, MeshAttribute
 from ..geometry.joined_meshes import join_instances
 from ..geometry.mesh_writing import write_evaluated_mesh
-from ..geometry.meshes import SourceInstance, read_mesh
+from ..geometry.meshes import SourceInstance, find_material, read_mesh
+from ..imaging.images import find_images
 from ..lod_sets import KIND
 from .chains import CHAIN
 
@@ -39,6 +40,12 @@ def read_elements(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> tup
     """Return the evaluated mesh of an object and its leaves, None if it is no foliage."""
     evaluated = read_mesh(item.evaluated_get(depsgraph), depsgraph)
     return evaluated, find_elements(evaluated.vertices, evaluated.triangles)
+
+
+def has_texture(evaluated: EvaluatedMesh) -> bool:
+    """Return whether a mesh has a UV map and materials with images."""
+    materials = [find_material(key) for key in evaluated.materials if key is not None]
+    return bool(evaluated.uv_map and find_images([material for material in materials if material is not None]))
 
 
 def simplify_foliage(
@@ -111,7 +118,7 @@ def _decimate(evaluated: EvaluatedMesh, scene: bpy.types.Scene) -> list[tuple[Ev
             coarse = read_mesh(item.evaluated_get(depsgraph), depsgraph)
             if not 0 < len(coarse.triangles) < 0.75 * count:
                 break
-            size = measure_pixel_size(vertices, coarse.vertices[coarse.triangles])
+            size = max(measure_pixel_size(vertices, coarse.vertices[coarse.triangles]), _measure_texture_shift(evaluated, coarse))
             if size > MAX_PIXEL * side:
                 break
             found.append((coarse, size))
@@ -119,6 +126,17 @@ def _decimate(evaluated: EvaluatedMesh, scene: bpy.types.Scene) -> list[tuple[Ev
         return found
     finally:
         bpy.data.batch_remove([item, mesh])
+
+
+def _measure_texture_shift(evaluated: EvaluatedMesh, coarse: EvaluatedMesh) -> float:
+    """Return the length by which the texture moves on a coarse mesh, 0 without a texture."""
+    name = evaluated.uv_map
+    if name not in coarse.attributes or not has_texture(evaluated):
+        return 0.0
+    meshes = [
+        (mesh.vertices[mesh.triangles], mesh.at_corners(name, np.arange(len(mesh.triangles)))[..., :2]) for mesh in (evaluated, coarse)
+    ]
+    return measure_texture_shift(*meshes[0], *meshes[1])
 
 
 def _take(evaluated: EvaluatedMesh, triangles: np.ndarray) -> EvaluatedMesh:

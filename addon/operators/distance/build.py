@@ -12,7 +12,14 @@ from ...bridge.billboards.scene_clouds import SceneCloud, clouds_in
 from ...bridge.distance.assets import Asset, count_own_triangles
 from ...bridge.distance.chains import Chain, NewLevel, create_chain
 from ...bridge.distance.level_switch import level_modifiers
-from ...bridge.distance.simplified_meshes import SimplifiedMesh, discard_unused, read_elements, simplify_foliage, simplify_solid
+from ...bridge.distance.simplified_meshes import (
+    SimplifiedMesh,
+    discard_unused,
+    has_texture,
+    read_elements,
+    simplify_foliage,
+    simplify_solid,
+)
 from ...bridge.geometry.mesh_arrays import count_triangles
 from ...bridge.objects import world_matrix
 from ...bridge.rendering.render_properties import copy_render_properties
@@ -33,7 +40,8 @@ SCENE_NAME = "Farfield Build"
 CLOUD_LEVELS = 2
 POLL = 0.05  # Seconds between two looks at a thread.
 SIMPLIFY_FRACTION, LEVELS_FRACTION = 0.1, 0.45  # Of the work on an asset.
-MAX_PERCEPTUAL_TRIANGLES = 10_000  # Of objects that get perceptual levels; others are decimated, which takes seconds instead of minutes.
+# Of objects that get perceptual levels, without and with a texture; others are decimated, which takes seconds. Decimate moves textures.
+MAX_PERCEPTUAL_TRIANGLES, MAX_TEXTURED_TRIANGLES = 10_000, 200_000
 MAX_BASE_PIXEL = 0.01  # Pixel size of the mesh that clouds are made of, relative to the longest side; it is the error of the cloud.
 
 
@@ -107,7 +115,7 @@ def _simplify(copies: Sequence[bpy.types.Object], scene: bpy.types.Scene, settin
             if elements is not None:
                 levels = yield from subprogress(simplify_foliage(copy, evaluated, elements, scene), *span)
                 item = Simplified(copy, copy, 0.0, levels, True)
-            elif len(evaluated.triangles) > MAX_PERCEPTUAL_TRIANGLES:
+            elif len(evaluated.triangles) > (MAX_TEXTURED_TRIANGLES if has_texture(evaluated) else MAX_PERCEPTUAL_TRIANGLES):
                 levels = yield from subprogress(simplify_solid(copy, evaluated, scene), *span)
                 max_size = MAX_BASE_PIXEL * longest_side(evaluated.vertices)
                 base = next((level for level in reversed(levels) if level.pixel_size <= max_size), None)
