@@ -83,6 +83,11 @@ class FARFIELD_OT_distance_analyze(bpy.types.Operator):
         return {"FINISHED"}
 
 
+def levels_reason(context: bpy.types.Context) -> str:
+    """Return that the scene has no levels, or an empty string."""
+    return "" if has_levels(context.scene) else "No object shows levels by distance"
+
+
 class LevelsOperator:
     """Mixin of operators that need levels in the scene."""
 
@@ -91,8 +96,7 @@ class LevelsOperator:
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Return whether the scene has levels that can be changed."""
-        missing = "" if has_levels(context.scene) else "No object shows levels by distance"
-        return long_work.poll_with_reason(cls, disabled_reason(context) or missing)
+        return long_work.poll_with_reason(cls, disabled_reason(context) or levels_reason(context))
 
 
 class FARFIELD_OT_distance_measure(long_work.LongWork, bpy.types.Operator):
@@ -106,9 +110,8 @@ class FARFIELD_OT_distance_measure(long_work.LongWork, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Return whether the scene can be rendered with levels."""
-        missing = "" if has_levels(context.scene) else "No object shows levels by distance"
         camera = "" if context.scene.camera is not None else "Add a camera"
-        return long_work.poll_with_reason(cls, disabled_reason(context) or missing or camera)
+        return long_work.poll_with_reason(cls, disabled_reason(context) or levels_reason(context) or camera)
 
     def prepare(self, context: bpy.types.Context) -> MeasureJob:
         """Read the scene."""

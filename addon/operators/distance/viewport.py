@@ -12,6 +12,7 @@ from ...core.geometry.cameras import Camera
 from .. import follow_handlers, long_work
 from ..error_reports import reports_errors
 from ..view_following import find_viewport, is_job_running, is_transforming, viewport_address
+from .operators import levels_reason
 
 TICK = 0.1  # Seconds between two looks at the view. Levels change when it rests, since that evaluates all modifiers.
 
@@ -82,8 +83,8 @@ class FARFIELD_OT_distance_follow_view(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Return whether there are levels and a viewport."""
-        missing = "" if has_levels(context.scene) else "No object shows levels by distance"
-        return long_work.poll_with_reason(cls, missing or ("" if viewport_address(context) else "There is no 3D Viewport"))
+        viewport = "" if viewport_address(context) else "There is no 3D Viewport"
+        return long_work.poll_with_reason(cls, levels_reason(context) or viewport)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
