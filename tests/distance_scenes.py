@@ -154,3 +154,16 @@ def describe_file() -> dict[str, object]:
     for material in bpy.data.materials:
         found[f"material {material.name}"] = sorted(node.name for node in material.node_tree.nodes)
     return found
+
+
+def scattered(part: np.ndarray, triangles: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return copies of a part with vertices (K, 3), turned at random and distributed in a cube with a side of 10."""
+    random = np.random.default_rng(0)
+    rotations = np.linalg.qr(random.normal(size=(count, 3, 3)))[0]
+    rotations *= np.sign(np.linalg.det(rotations))[:, None, None]
+    vertices = part @ rotations + random.uniform(0.0, 10.0, (count, 1, 3))
+    return vertices.reshape(-1, 3), (len(part) * np.arange(count)[:, None, None] + triangles).reshape(-1, 3)
+
+
+def square(side: float) -> tuple[np.ndarray, np.ndarray]:
+    return side * np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], float), np.array([(0, 1, 2), (0, 2, 3)])

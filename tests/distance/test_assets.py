@@ -23,9 +23,9 @@ def test_linked_duplicates_are_one_asset():
     duplicate.location, duplicate.scale = (4.0, 0.0, 0.0), (-2.0, 2.0, 2.0)
     assets, skipped = find()
     assert [(asset.hosts, asset.triangles) for asset in assets] == [([box, duplicate], 12)] and not skipped
-    centers, radii, scales = assets[0].spheres
-    assert np.allclose(centers, [(1.0, 2.0, 3.0), (4.0, 0.0, 0.0)]) and np.allclose(scales, [1.0, 2.0])
-    assert np.allclose(radii, 0.25 * 3.0**0.5 * scales)
+    places = assets[0].places
+    assert np.allclose(places.centers, [(1.0, 2.0, 3.0), (4.0, 0.0, 0.0)]) and np.allclose(places.scales, [1.0, 2.0])
+    assert np.allclose(places.radii, 0.25 * 3.0**0.5 * places.scales)
 
 
 def test_duplicates_with_modifiers_or_other_materials_are_assets_of_their_own():
@@ -49,7 +49,7 @@ def test_places_of_a_scatter():
     assets, skipped = find()
     assert {asset.name: len(asset.matrices) for asset in assets} == {"Large": 3, "Small": 2} and not skipped
     large = next(asset for asset in assets if asset.name == "Large")
-    assert np.allclose(large.spheres[0], [(0.0, 0.0, 7.0), (0.0, 2.0, 7.0), (0.0, 4.0, 7.0)])
+    assert np.allclose(large.places.centers, [(0.0, 0.0, 7.0), (0.0, 2.0, 7.0), (0.0, 4.0, 7.0)])
     assert np.allclose((large.low, large.high), ((-0.4,) * 3, (0.4,) * 3))
 
 

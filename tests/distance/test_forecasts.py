@@ -3,6 +3,7 @@
 from collections import Counter
 
 import bpy
+import mathutils
 import numpy as np
 import pytest
 
@@ -10,7 +11,7 @@ from distance_scenes import DISTANCES, SIZES, add_box, add_camera, add_scatter, 
 from farfield.addon.bridge.distance.assets import AssetSearch
 from farfield.addon.bridge.distance.placing import originals_shown
 from farfield.addon.bridge.distance.views import choose_frames, place_levels, read_views
-from farfield.addon.core.distance.forecasts import MAX_ERROR, PlacedLevels, find_error, forecast
+from farfield.addon.core.distance.forecasts import MAX_ERROR, PlacedLevels, Places, find_error, forecast
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 
@@ -40,6 +41,15 @@ def test_a_forecast_counts_what_a_render_instances(kind, max_error, fade_range):
     found = Counter(name for name, _ in (rendered() if fade_range else shown()))
     assert {f"Box {number}": count for number, count in enumerate(counts[0]) if count} == found
     assert len(found) > 1 or kind == "ORTHO"
+
+
+def test_the_nearest_point_of_a_box_that_is_moved_rotated_and_scaled():
+    matrix = mathutils.Matrix.LocRotScale((10.0, 0.0, 0.0), mathutils.Euler((0.0, 0.0, 0.25 * np.pi)), (2.0, 1.0, 3.0))
+    places = Places(np.array([np.array(matrix)]), np.array([-1.0, -1.0, 0.0]), np.array([1.0, 1.0, 2.0]))
+    corner = matrix @ mathutils.Vector((-1.0, 1.0, 2.0))
+    assert places.distances_to(np.array(corner) + [-3.0, 0.0, 4.0]) == pytest.approx([5.0])
+    assert places.distances_to(np.array([10.0, 0.0, 6.5])) == pytest.approx([0.5]), "above"
+    assert places.distances_to(np.array([10.5, 0.5, 1.0])) == pytest.approx([0.0]), "inside"
 
 
 def test_places_that_are_not_seen_are_coarser_and_never_the_original():

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from distance_scenes import add_box, add_camera, add_scatter, describe_file, rendered, shown
+from farfield.addon.bridge.distance import simplified_meshes
 from farfield.addon.bridge.distance.chains import read_chains
 from farfield.addon.bridge.distance.level_switch import MAX_ERROR, level_modifiers
 from farfield.addon.bridge.distance.placing import QUADS
@@ -140,8 +141,9 @@ def test_foliage_gets_fewer_and_larger_leaves_instead_of_a_cloud(camera):
 
 
 @pytest.mark.parametrize("is_textured", [True, False])
-def test_a_heavy_object_is_decimated(camera, monkeypatch, is_textured):
-    monkeypatch.setattr(distance_build, "MAX_TEXTURED_TRIANGLES" if is_textured else "MAX_PERCEPTUAL_TRIANGLES", 100)
+def test_heavy_objects_and_those_without_a_texture_are_decimated(camera, monkeypatch, is_textured):
+    monkeypatch.setattr(distance_build, "MAX_PERCEPTUAL_TRIANGLES", 100)
+    monkeypatch.setattr(simplified_meshes, "LIGHT_TRIANGLES", 100)
     ball = textured_ball(16, "Ball")
     if not is_textured:
         bpy.data.batch_remove([image for image in bpy.data.images if image.users])
@@ -260,7 +262,7 @@ def test_the_analysis_lists_the_heaviest_first(camera):
         ("Ball", ball, 1, count_triangles(ball), "build"),
         ("Box", bpy.data.objects["Box"], 1, 12, "stays"),
     ]
-    assert [plan.nearest for plan in plans] == pytest.approx([5.0, 3.0], abs=1e-3)
+    assert [plan.nearest for plan in plans] == pytest.approx([4.0, 2.75], abs=1e-3)
     diagonal = 0.5 * 3.0**0.5
     assert plans[1].pixels == pytest.approx(1000.0 * diagonal / 3.0, rel=1e-3), "1,000 pixels are 1 long at a distance of 1"
     plans[0].method, plans[1].error_factor = "original", 2.0
@@ -279,7 +281,7 @@ def test_the_analysis_looks_at_several_frames_and_ends_at_the_current_one(camera
     scene.frame_set(1)
     bpy.ops.farfield.distance_analyze()
     (plan,) = scene.farfield_distance.plans
-    assert plan.nearest == pytest.approx(10.0, abs=0.01) and scene.frame_current == 1
+    assert plan.nearest == pytest.approx(9.75, abs=0.01) and scene.frame_current == 1
 
 
 def test_the_method_of_an_object_and_its_error_factor(camera):

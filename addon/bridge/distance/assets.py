@@ -10,7 +10,8 @@ import bpy
 import mathutils
 import numpy as np
 
-from ...core.geometry.transforms import is_invertible, mean_scale, transform_points
+from ...core.distance.forecasts import Places
+from ...core.geometry.transforms import is_invertible, transform_points
 from ..geometry.mesh_arrays import count_triangles, read_positions
 from ..geometry.meshes import is_collection_instance, may_have_surface
 from ..lod_sets import KIND
@@ -69,12 +70,9 @@ class Asset:
         return self.empties[0].instance_collection if self.empties else self.objects[0]
 
     @property
-    def spheres(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The centers (N, 3) and radii (N,) of bounding spheres in world space, and the scales (N,), of all places."""
-        matrices = np.array([np.array(matrix) for matrix in self.matrices])
-        centers = matrices[:, :3, :3] @ (0.5 * (self.low + self.high)) + matrices[:, :3, 3]
-        radius = 0.5 * float(np.linalg.norm(self.high - self.low))
-        return centers, radius * np.linalg.norm(matrices[:, :3, :3], axis=1).max(axis=1), mean_scale(matrices)
+    def places(self) -> Places:
+        """All places, with the bounding box."""
+        return Places(np.array([np.array(matrix) for matrix in self.matrices]), self.low, self.high)
 
 
 class AssetSearch:

@@ -17,7 +17,7 @@ from ..lod_crossfade import CONSTANT, GROWTH, INSTANCE_CAMERA, INSTANCE_PIXEL, P
 from ..objects import drive_by_scene
 from ..shading.node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
 
-NAME, VERSION = "Farfield Levels by Distance", 4
+NAME, VERSION = "Farfield Levels by Distance", 5
 VIEW_NAME, VIEW_VERSION = "Farfield Active Camera", 2
 TREE = "GeometryNodeTree"
 MAX_ERROR = "Max Error"  # Input of the modifiers: what a level may leave out, in pixels.
@@ -95,7 +95,7 @@ class View:
 
 def ensure_level_switch(count: int, places: Places) -> bpy.types.NodeTree:
     """Return the node group that shows one of `count` levels, each a collection, at the `places` of an asset."""
-    sockets = [("Geometry", "Geometry"), ("Center", "Vector"), ("Radius", "Float"), (MAX_ERROR, "Float"), ("Fade Range", "Float")]
+    sockets = [("Geometry", "Geometry"), ("Center", "Vector"), ("Half Size", "Vector"), (MAX_ERROR, "Float"), ("Fade Range", "Float")]
     sockets += [("Low", "Vector"), ("High", "Vector"), ("Tolerance", "Float")] if places is Places.MATCHING else []
     for number in range(count):
         sockets += [(f"Level {number}", "Collection"), (f"Fading Level {number}", "Collection"), (f"Pixel Size {number}", "Float")]
@@ -197,16 +197,20 @@ def _choose(
     scale = builder.math("MULTIPLY", builder.vector("LENGTH", axes), 3.0**-0.5)
     center = builder.transform_point(given["Center"], to_world)
     largest = builder.math("MAXIMUM", builder.math("MAXIMUM", *(builder.separate(axes)[:2])), builder.separate(axes)[2])
-    radius = builder.math("MULTIPLY", given["Radius"], largest)
+    radius = builder.math("MULTIPLY", builder.vector("LENGTH", given["Half Size"]), largest)
     offset = builder.vector("SUBTRACT", center, view.position)
     distance = builder.vector("LENGTH", offset)
+    own_position = builder.transform_point(view.position, builder.call("FunctionNodeInvertMatrix", {0: to_world}).outputs[0])
+    local_offset = builder.vector("ABSOLUTE", builder.vector("SUBTRACT", own_position, given["Center"]))
+    outside = builder.vector("MAXIMUM", builder.vector("SUBTRACT", local_offset, given["Half Size"]), (0.0, 0.0, 0.0))
+    to_box = builder.vector("LENGTH", builder.vector("MULTIPLY", outside, axes))
 
     def pixel_size(at: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
-        size = builder.math("MULTIPLY_ADD", builder.math("MAXIMUM", at, 0.0), view.growth)
+        size = builder.math("MULTIPLY_ADD", at, view.growth)
         builder.tree.links.new(view.constant, size.node.inputs[2])
         return builder.math("DIVIDE", size, builder.math("MAXIMUM", scale, 1e-20))
 
-    nearest, farthest = (pixel_size(builder.math(operation, distance, radius)) for operation in ("SUBTRACT", "ADD"))
+    nearest, farthest = pixel_size(to_box), pixel_size(builder.math("ADD", distance, radius))
     is_seen = _is_seen(builder, view, offset, distance, radius)
     is_exact = builder.boolean("OR", view.is_viewport, builder.less(given["Fade Range"], 1e-6))
     is_exact = builder.boolean("OR", is_exact, builder.boolean("NOT", is_seen))

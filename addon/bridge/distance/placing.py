@@ -4,7 +4,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 
 import bpy
-import numpy as np
 
 from ...compat import read_node_input, set_node_input
 from ..lod_sets import KIND
@@ -42,7 +41,7 @@ def _add_modifier(host: bpy.types.Object, chain: Chain, ranges: dict[str, float]
     modifier.node_group = ensure_level_switch(len(chain.collections), places)
     modifier.show_expanded = False
     center = 0.5 * (chain.low + chain.high)
-    values = {"Center": center.tolist(), "Radius": float(np.linalg.norm(chain.high - center)), **ranges}
+    values = {"Center": center.tolist(), "Half Size": (chain.high - center).tolist(), **ranges}
     if places is Places.MATCHING:
         values |= {"Low": chain.low.tolist(), "High": chain.high.tolist(), "Tolerance": tolerance}
     for number, (collection, size) in enumerate(zip(chain.collections, chain.pixel_sizes, strict=True)):

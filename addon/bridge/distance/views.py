@@ -64,8 +64,8 @@ def read_views(scene: bpy.types.Scene) -> list[View]:
 
 def place_levels(asset: Asset, chain: Chain, error_factor: float, views: Sequence[View]) -> PlacedLevels:
     """Return the levels of an asset with the sizes of pixels at its places."""
-    spheres = asset.spheres
-    sizes = (np.array(values) for values in zip(*(view.measure(*spheres) for view in views), strict=True))
+    places = asset.places
+    sizes = (np.array(values) for values in zip(*(view.measure(places) for view in views), strict=True))
     return PlacedLevels(np.array(chain.pixel_sizes), np.array(chain.triangles, np.int64), error_factor, *sizes)
 
 

@@ -109,20 +109,20 @@ def measure_scatter(elements: Elements) -> tuple[float, float]:
     return float(np.average(sines, weights=weights)), float(np.average(cosines, weights=weights))
 
 
-def count_triangles(elements: Elements, pixel_size: float) -> int:
-    """Return the number of triangles of the level for a pixel size, without the rest of the mesh."""
+def count_triangles(elements: Elements, pixel_size: float) -> np.ndarray:
+    """Return the number of triangles (E,) of each element in the level for a pixel size."""
     is_replaced, growth = _grow(elements, pixel_size)
-    kept = np.bincount(elements.of_triangles[elements.of_triangles >= 0], minlength=len(is_replaced))[~is_replaced].sum()
-    is_kept = is_replaced & (elements.ranks * growth.prod(axis=1) < 1.0)
-    return int(kept + np.where(elements.is_quad, 2, 1)[is_kept].sum())
+    numbers = np.bincount(elements.of_triangles[elements.of_triangles >= 0], minlength=len(is_replaced))
+    is_shown = elements.ranks * growth.prod(axis=1) < 1.0
+    return np.where(is_replaced, np.where(elements.is_quad, 2, 1) * is_shown, numbers)
 
 
-def simplify_elements(elements: Elements, pixel_size: float) -> AggregateLevel:
-    """Return the level that looks like the elements where a pixel is larger than `pixel_size`."""
+def simplify_elements(elements: Elements, pixel_size: float, is_left_out: np.ndarray | bool = False) -> AggregateLevel:
+    """Return the level that looks like the elements where a pixel is larger than `pixel_size`, without some of them (E,)."""
     is_replaced, growth = _grow(elements, pixel_size)
-    is_original = np.concatenate([~is_replaced, [False]])  # The last one is that of the rest.
+    is_original = np.append(~is_replaced & ~np.asarray(is_left_out), False)  # The last one is that of the rest.
     kept = np.flatnonzero(is_original[elements.of_triangles])
-    chosen = np.flatnonzero(is_replaced & (elements.ranks * growth.prod(axis=1) < 1.0))
+    chosen = np.flatnonzero(is_replaced & (elements.ranks * growth.prod(axis=1) < 1.0) & ~np.asarray(is_left_out))
     offsets = elements.offsets[chosen].copy()
     offsets[..., :2] *= growth[chosen, None]
     positions = elements.centers[chosen, None] + offsets @ elements.frames[chosen]

@@ -6,16 +6,59 @@ A place of an asset is seen with pixels of a range of sizes: those at its neares
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from ..geometry.cameras import Camera
+from ..geometry.transforms import mean_scale
 
 MARGIN = 0.1  # Radians around the image, for motion blur and shifted lenses.
 UNSEEN_FACTOR = 4.0  # Of the size of a pixel where the camera does not see: shadows are soft, but those of the coarsest level are spots.
 UNSEEN_EXCESS = 1.001  # Of that size above the one from which the first level after the original shows, at least.
 MAX_ERROR = 16.0  # Pixels.
 STEPS = 24  # Of the bisection for a budget.
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where an asset is.
+
+    Attributes:
+        matrices: (N, 4, 4), from the space of the asset to the world.
+        low: lowest corner (3,) of its bounding box.
+        high: highest corner (3,) of its bounding box.
+    """
+
+    matrices: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+    @cached_property
+    def centers(self) -> np.ndarray:
+        """Centers (N, 3) of the bounding boxes in world space."""
+        return self.matrices[:, :3, :3] @ (0.5 * (self.low + self.high)) + self.matrices[:, :3, 3]
+
+    @cached_property
+    def axes(self) -> np.ndarray:
+        """Lengths (N, 3) of the axes of the asset in world space."""
+        return np.linalg.norm(self.matrices[:, :3, :3], axis=1)
+
+    @cached_property
+    def radii(self) -> np.ndarray:
+        """Radii (N,) of the bounding spheres in world space."""
+        return 0.5 * float(np.linalg.norm(self.high - self.low)) * self.axes.max(axis=1)
+
+    @cached_property
+    def scales(self) -> np.ndarray:
+        """Length (N,) in world space of a unit of the asset."""
+        return mean_scale(self.matrices)
+
+    def distances_to(self, position: np.ndarray) -> np.ndarray:
+        """Return the distances (N,) of a position (3,) in world space from the bounding boxes."""
+        directions = self.matrices[:, :3, :3] / np.maximum(self.axes, 1e-20)[:, None]
+        local_offsets = np.abs(np.einsum("nij,ni->nj", directions, position - self.centers))
+        return np.linalg.norm(np.maximum(local_offsets - 0.5 * (self.high - self.low) * self.axes, 0.0), axis=1)
 
 
 @dataclass(frozen=True)
@@ -30,26 +73,27 @@ class View:
     direction: np.ndarray
     diagonal: float = math.inf
 
-    def measure(self, centers: np.ndarray, radii: np.ndarray, scales: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the sizes (N,) of a pixel at the nearest and at the farthest point of spheres, in units of their assets, and whether (N,)
-        each may be seen.
-
-        Args:
-            centers: (N, 3) world space.
-            radii: (N,) world space.
-            scales: (N,) length in world space of a unit of each asset.
-        """
-        offsets = centers - self.camera.position
+    def measure(self, places: Places) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the sizes (N,) of a pixel at the nearest point of the bounding box and at the farthest of the bounding sphere of each
+        place, in units of the asset, and whether (N,) each may be seen."""
+        offsets = places.centers - self.camera.position
         distances = np.linalg.norm(offsets, axis=1)
         safe = np.maximum(distances, 1e-20)
         angles = np.arccos(np.clip(offsets @ self.direction / safe, -1.0, 1.0))
-        halves = np.arcsin(np.minimum(radii / safe, 1.0))
-        is_seen = (angles < math.atan(self.diagonal) + halves + MARGIN) | (distances < radii) | math.isinf(self.diagonal)
-        growth, constant = self.camera.pixel_size(1.0), self.camera.pixel_size(0.0)
-        if self.camera.field_of_view == 0.0:
-            growth = 0.0
-        sizes = [(np.maximum(at, 0.0) * growth + constant) / np.maximum(scales, 1e-20) for at in (distances - radii, distances + radii)]
-        return *sizes, is_seen
+        halves = np.arcsin(np.minimum(places.radii / safe, 1.0))
+        is_seen = (angles < math.atan(self.diagonal) + halves + MARGIN) | (distances < places.radii) | math.isinf(self.diagonal)
+        ends = (places.distances_to(self.camera.position), distances + places.radii)
+        nearest, farthest = (self._pixel_sizes(at) / np.maximum(places.scales, 1e-20) for at in ends)
+        return nearest, farthest, is_seen
+
+    def extents(self, places: Places) -> np.ndarray:
+        """Return the diameters (N,) of the bounding spheres in the image, in pixels."""
+        distances = np.linalg.norm(places.centers - self.camera.position, axis=1)
+        return 2.0 * places.radii / np.maximum(self._pixel_sizes(distances), 1e-20)
+
+    def _pixel_sizes(self, distances: np.ndarray) -> np.ndarray:
+        growth = self.camera.pixel_size(1.0) if self.camera.field_of_view else 0.0
+        return distances * growth + self.camera.pixel_size(0.0)
 
 
 @dataclass(frozen=True)

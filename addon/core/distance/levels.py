@@ -6,7 +6,8 @@ A level shows where a pixel is larger than its pixel size. The original has the 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-MAX_TRIANGLES_RATIO = 0.75  # Of a level to the level before; one that saves less is not worth a switch.
+MAX_COST_RATIO = 0.75  # Of a level to the level before; one that saves less is not worth a switch.
+TRANSPARENT_COST = 16  # Of a triangle that an opacity map cuts out, in opaque ones: rays go on behind it.
 # An object as small as this in an image, in pixels, needs a cloud if no mesh of so few triangles shows it. Cycles takes longer for the
 # transparent quads of a cloud than for such a mesh, and its images take more memory.
 FEW_PIXELS, FEW_TRIANGLES = 8.0, 500
@@ -14,22 +15,34 @@ FEW_PIXELS, FEW_TRIANGLES = 8.0, 500
 
 @dataclass(frozen=True)
 class LevelCandidate:
-    """triangles: their number. pixel_size: of the pixels above which it looks like the original, a length in units of the object."""
+    """What may become a level.
+
+    Attributes:
+        triangles: their number.
+        pixel_size: of the pixels above which it looks like the original, a length in units of the object.
+        transparent: number of triangles that opacity maps cut out.
+    """
 
     triangles: int
     pixel_size: float
+    transparent: int = 0
+
+    @property
+    def cost(self) -> int:
+        """What a render pays for it, in opaque triangles."""
+        return self.triangles + (TRANSPARENT_COST - 1) * self.transparent
 
 
 def choose_levels(candidates: Sequence[LevelCandidate]) -> list[int]:
     """Return the indices of the candidates that become levels, finest first.
 
-    The first level is the original, the candidate with the pixel size 0. Each further one has at most `MAX_TRIANGLES_RATIO` times the
-    triangles of the level before.
+    The first level is the original, the candidate with the pixel size 0. Each further one costs at most `MAX_COST_RATIO`
+    times as much as the level before.
     """
     chosen: list[int] = []
-    for index in sorted(range(len(candidates)), key=lambda index: (candidates[index].pixel_size, candidates[index].triangles)):
+    for index in sorted(range(len(candidates)), key=lambda index: (candidates[index].pixel_size, candidates[index].cost)):
         candidate = candidates[index]
-        if not chosen or candidate.triangles <= MAX_TRIANGLES_RATIO * candidates[chosen[-1]].triangles:
+        if not chosen or candidate.cost <= MAX_COST_RATIO * candidates[chosen[-1]].cost:
             chosen.append(index)
     return chosen
 
@@ -42,8 +55,9 @@ def combine_levels(parts: Sequence[Sequence[LevelCandidate]]) -> list[tuple[Leve
     combined = []
     for pixel_size in sorted({level.pixel_size for levels in parts for level in levels}):
         indices = tuple(max(index for index, level in enumerate(levels) if level.pixel_size <= pixel_size) for levels in parts)
-        triangles = sum(levels[index].triangles for levels, index in zip(parts, indices, strict=True))
-        combined.append((LevelCandidate(triangles, pixel_size), indices))
+        shown = [levels[index] for levels, index in zip(parts, indices, strict=True)]
+        triangles, transparent = sum(level.triangles for level in shown), sum(level.transparent for level in shown)
+        combined.append((LevelCandidate(triangles, pixel_size, transparent), indices))
     return combined
 
 

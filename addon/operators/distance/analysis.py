@@ -29,7 +29,7 @@ class Plan:
         places: their number.
         triangles: at one place.
         image_bytes: memory of the images of its materials.
-        nearest: smallest distance of the center of a place from the active camera in any frame that was looked at; 0 without a camera.
+        nearest: smallest distance of a place from the active camera in any frame that was looked at; 0 without a camera.
         pixels: largest extent in an image, in pixels; 0 where no frame shows it.
         outcome: one of `OUTCOMES`.
     """
@@ -102,13 +102,12 @@ def _outcome(
 
 
 def _describe(asset: Asset, views: Sequence[View], outcome: str, image_size: tuple[int, int]) -> Plan:
-    centers, radii, scales = asset.spheres
+    places = asset.places
     nearest, pixels = [0.0], [0.0]
     for view in views:
-        nearest.append(float(np.linalg.norm(centers - view.camera.position, axis=1).min()))
-        near, far, is_seen = view.measure(centers, radii, scales)
-        extents = np.where(is_seen, 2.0 * radii / np.maximum(scales * 0.5 * (near + far), 1e-20), 0.0)
-        pixels.append(min(float(extents.max()), float(max(image_size))))
+        nearest.append(float(places.distances_to(view.camera.position).min()))
+        _, _, is_seen = view.measure(places)
+        pixels.append(min(float(np.where(is_seen, view.extents(places), 0.0).max()), float(max(image_size))))
     images = sum(count_image_bytes(asset.objects).values())
     return Plan(
         source=asset.source,

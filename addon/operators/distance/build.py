@@ -11,16 +11,11 @@ from ...bridge.billboards import clouds
 from ...bridge.billboards.scene_clouds import SceneCloud, clouds_in
 from ...bridge.distance.assets import Asset, count_own_triangles
 from ...bridge.distance.chains import Chain, NewLevel, create_chain
+from ...bridge.distance.foliage import Foliage, find_foliage, simplify_foliage
 from ...bridge.distance.level_switch import level_modifiers
-from ...bridge.distance.simplified_meshes import (
-    SimplifiedMesh,
-    discard_unused,
-    has_texture,
-    read_elements,
-    simplify_foliage,
-    simplify_solid,
-)
+from ...bridge.distance.simplified_meshes import SimplifiedMesh, discard_unused, has_texture, simplify_solid
 from ...bridge.geometry.mesh_arrays import count_triangles
+from ...bridge.geometry.meshes import read_mesh
 from ...bridge.objects import world_matrix
 from ...bridge.rendering.render_properties import copy_render_properties
 from ...bridge.texmesh.level_sets import LevelSet, level_sets_in, remove_level_set
@@ -40,8 +35,9 @@ SCENE_NAME = "Farfield Build"
 CLOUD_LEVELS = 2
 POLL = 0.05  # Seconds between two looks at a thread.
 SIMPLIFY_FRACTION, LEVELS_FRACTION = 0.1, 0.45  # Of the work on an asset.
-# Of objects that get perceptual levels, without and with a texture; others are decimated, which takes seconds. Decimate moves textures.
-MAX_PERCEPTUAL_TRIANGLES, MAX_TEXTURED_TRIANGLES = 10_000, 200_000
+# Of objects with a texture, which Decimate moves. They get perceptual levels; heavier ones and those without a texture are decimated,
+# which takes seconds.
+MAX_PERCEPTUAL_TRIANGLES = 200_000
 MAX_BASE_PIXEL = 0.01  # Pixel size of the mesh that clouds are made of, relative to the longest side; it is the error of the cloud.
 
 
@@ -54,14 +50,16 @@ class Simplified:
         base: object that clouds are made of: `copy`, or a lighter one that looks like it from some distance.
         base_size: of the pixels above which it does, in units of the object.
         levels: lighter meshes, finest first.
-        is_foliage: whether a cloud would be no use.
+        is_textured: whether perceptual levels are wanted instead.
+        foliage: its leaves, for which a cloud would be no use; None without.
     """
 
     copy: bpy.types.Object
     base: bpy.types.Object
     base_size: float
     levels: list[SimplifiedMesh]
-    is_foliage: bool
+    is_textured: bool = False
+    foliage: Foliage | None = None
 
 
 @dataclass(frozen=True)
@@ -80,9 +78,9 @@ def build_chain(asset: Asset, fingerprint: str, settings: DistanceSettings, rema
         with temporary_scene() as scene:
             copies = [_copy_object(item, scene) for item in asset.objects]
             simplified = yield from subprogress(_simplify(copies, scene, settings), 0.0, SIMPLIFY_FRACTION)
-            light = [item.copy for item in simplified if not item.levels]
-            if settings.perceptual_levels and light:
-                steps = _run(scene, lambda: _prepare_levels(light), f'levels of "{asset.name}"', remarks)
+            textured = [item.copy for item in simplified if item.is_textured]
+            if settings.perceptual_levels and textured:
+                steps = _run(scene, lambda: _prepare_levels(textured), f'levels of "{asset.name}"', remarks)
                 yield from subprogress(steps, SIMPLIFY_FRACTION, LEVELS_FRACTION)
             parts = [_read_part(asset, *pair, level_sets_in(scene)) for pair in zip(asset.objects, simplified, strict=True)]
             combined = combine_levels([part.candidates for part in parts])
@@ -90,7 +88,7 @@ def build_chain(asset: Asset, fingerprint: str, settings: DistanceSettings, rema
                 [candidate for candidate, _ in combined], float((asset.high - asset.low).max())
             )
             base_size = 0.0
-            if settings.billboard_cloud and is_needed and not any(item.is_foliage for item in simplified):
+            if settings.billboard_cloud and is_needed and not any(item.foliage is not None for item in simplified):
                 bases = [item.base for item in simplified]
                 steps = _run(scene, lambda: _prepare_cloud(bases), f'cloud of "{asset.name}"', remarks)
                 yield from subprogress(steps, LEVELS_FRACTION, 1.0)
@@ -109,20 +107,23 @@ def _simplify(copies: Sequence[bpy.types.Object], scene: bpy.types.Scene, settin
     for index, copy in enumerate(copies):
         span = index / len(copies), (index + 1) / len(copies)
         yield Progress(span[0], "Reading the mesh")
-        item = Simplified(copy, copy, 0.0, [], False)
+        item = Simplified(copy, copy, 0.0, [])
         if settings.perceptual_levels:
-            evaluated, elements = read_elements(copy, depsgraph)
-            if elements is not None:
-                levels = yield from subprogress(simplify_foliage(copy, evaluated, elements, scene), *span)
-                item = Simplified(copy, copy, 0.0, levels, True)
-            elif len(evaluated.triangles) > (MAX_TEXTURED_TRIANGLES if has_texture(evaluated) else MAX_PERCEPTUAL_TRIANGLES):
+            evaluated = read_mesh(copy.evaluated_get(depsgraph), depsgraph)
+            foliage = find_foliage(evaluated)
+            if foliage is not None:
+                levels = yield from subprogress(simplify_foliage(copy, foliage, scene), *span)
+                item = Simplified(copy, copy, 0.0, levels, foliage=foliage)
+            elif len(evaluated.triangles) > MAX_PERCEPTUAL_TRIANGLES or not has_texture(evaluated):
                 levels = yield from subprogress(simplify_solid(copy, evaluated, scene), *span)
                 max_size = MAX_BASE_PIXEL * longest_side(evaluated.vertices)
                 base = next((level for level in reversed(levels) if level.pixel_size <= max_size), None)
                 if base is not None:
-                    item = Simplified(copy, _add_base(copy, base, scene), base.pixel_size, levels, False)
+                    item = Simplified(copy, _add_base(copy, base, scene), base.pixel_size, levels)
                 else:
-                    item = Simplified(copy, copy, 0.0, levels, False)
+                    item = Simplified(copy, copy, 0.0, levels)
+            else:
+                item = Simplified(copy, copy, 0.0, [], is_textured=True)
         found.append(item)
     return found
 
@@ -228,10 +229,11 @@ def _read_part(asset: Asset, item: bpy.types.Object, simplified: Simplified, set
     inverse, unit = asset.frame.inverted_safe(), mean_scale(asset.frame)
     matrix, copy = inverse @ world_matrix(item), simplified.copy
     evaluated = copy.evaluated_get(copy.users_scene[0].view_layers[0].depsgraph)
-    meshes, candidates = [(item.data, matrix)], [LevelCandidate(count_own_triangles(evaluated), 0.0)]
+    transparent = 0 if simplified.foliage is None else simplified.foliage.transparent_triangles
+    meshes, candidates = [(item.data, matrix)], [LevelCandidate(count_own_triangles(evaluated), 0.0, transparent)]
     for level in simplified.levels:
         meshes.append((level.mesh, matrix))
-        candidates.append(LevelCandidate(level.triangles, level.pixel_size * _scale(asset, copy)))
+        candidates.append(LevelCandidate(level.triangles, level.pixel_size * _scale(asset, copy), level.transparent))
     for levels in (levels for levels in sets if levels.source == copy):
         for level, error in zip(levels.levels[1:], levels.errors[1:], strict=True):
             world = world_matrix(level)
