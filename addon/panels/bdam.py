@@ -44,7 +44,6 @@ class FARFIELD_PT_bdam_build(BuildSettingsPanel, bpy.types.Panel):
     bl_idname = "FARFIELD_PT_bdam_build"
     bl_label = "Build"
     bl_parent_id = PANEL
-    bl_options = {"DEFAULT_CLOSED"}
     buttons = ((FARFIELD_OT_bdam_build, "Build", "RNDCURVE"),)
 
     def draw(self, context: bpy.types.Context) -> None:

@@ -67,8 +67,9 @@ class FARFIELD_PT_billboards(BillboardSettingsPanel, ToolPanel, bpy.types.Panel)
             selection = describe_selection(context, group.combine_selected)
             if selection:
                 draw_message(self.layout, selection, "OUTLINER_COLLECTION" if group.combine_selected else "OBJECT_DATA")
-            draw_estimate(self.layout, context, group)
         draw_button(self.layout, FARFIELD_OT_billboards_build, "Build", "MESH_GRID")
+        if not reason:  # Below the button, which an estimate would move.
+            draw_estimate(self.layout, context, context.scene.farfield_billboards)
 
 
 class CloudPanel(SidebarPanel):

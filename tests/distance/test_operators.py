@@ -19,6 +19,7 @@ from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.json_values import parse_json
 from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.operators.distance import build as distance_build
+from farfield.addon.operators.distance.analysis import Plan, describe_weight
 from farfield.addon.operators.distance.job import prepare
 from farfield.addon.operators.job_run import run_job
 from textured_scenes import textured_ball
@@ -269,6 +270,15 @@ def test_the_analysis_lists_the_heaviest_first(camera):
     ball.hide_render = True
     bpy.ops.farfield.distance_analyze()
     assert [(plan.name, plan.error_factor) for plan in plans] == [("Box", 2.0)], "choices stay"
+
+
+def test_the_analysis_says_what_levels_can_save():
+    def plan(places: int, triangles: int) -> Plan:
+        return Plan(None, "Tree", places, triangles, 0, 0.0, 0.0, "build")
+
+    assert "light" in describe_weight([plan(1000, 1000)])
+    assert "Cycles keeps repeated meshes once" in describe_weight([plan(1000, 10_000)])
+    assert describe_weight([plan(10, 400_000), plan(1, 200_000)]) == ""
 
 
 def test_the_analysis_looks_at_several_frames_and_ends_at_the_current_one(camera):

@@ -16,6 +16,8 @@ from ...bridge.distance.views import count_image_bytes, read_views
 from ...core.distance.forecasts import View
 from ...core.distance.settings import METHODS, AssetOptions, DistanceSettings
 
+# Triangles of a scene that is light: at all places together for viewports and EEVEE, and of each mesh once for Cycles.
+LIGHT_TRIANGLES, LIGHT_UNIQUE_TRIANGLES = 2_000_000, 500_000
 OUTCOMES = {"build": "Gets levels", "ready": "Has levels", "stays": "Stays as it is"}
 
 
@@ -119,6 +121,15 @@ def _describe(asset: Asset, views: Sequence[View], outcome: str, image_size: tup
         pixels=max(pixels),
         outcome=outcome,
     )
+
+
+def describe_weight(plans: Sequence[Plan]) -> str:
+    """Return a sentence about what levels can save, empty if that is much."""
+    if sum(plan.total for plan in plans) < LIGHT_TRIANGLES:
+        return "This is light: levels would save little."
+    if sum(plan.triangles for plan in plans) < LIGHT_UNIQUE_TRIANGLES:
+        return "Cycles keeps repeated meshes once, so that levels save little memory there; viewports and EEVEE draw all of them."
+    return ""
 
 
 def store_plans(rows: Any, plans: Iterable[Plan]) -> None:

@@ -5,10 +5,10 @@ import bpy
 from ...bridge.distance.assets import visible_objects
 from ...bridge.distance.placing import clean_up, detach, find_hosts, has_levels, show_levels, shows_levels, with_placements
 from ...core.distance.settings import DistanceSettings
-from ...core.messages import format_count, list_first
+from ...core.messages import format_count, join_sentences, list_first
 from .. import long_work, properties, start_job
 from ..error_reports import report_message, reports_errors
-from .analysis import FARFIELD_PG_distance_plan, analyze, store_plans
+from .analysis import FARFIELD_PG_distance_plan, analyze, describe_weight, store_plans
 from .job import DistanceJob, prepare
 from .measuring import MeasureJob
 
@@ -76,10 +76,11 @@ class FARFIELD_OT_distance_analyze(bpy.types.Operator):
         store_plans(group.plans, plans)
         group.active_plan = 0
         triangles, places = sum(plan.total for plan in plans), sum(plan.places for plan in plans)
-        left_out = f" Skipped: {list_first(skipped)}." if skipped else ""
+        left_out = f"Skipped: {list_first(skipped)}." if skipped else ""
         counts = f"{format_count(len(plans), 'object')} at {format_count(places, 'place')}"
         unique = f"{sum(plan.triangles for plan in plans):,} without repetitions"
-        report_message(self, f"{format_count(triangles, 'triangle')} in {counts}, {unique}.{left_out}")
+        figures = f"{format_count(triangles, 'triangle')} in {counts}, {unique}."
+        report_message(self, join_sentences([figures, describe_weight(plans), left_out]))
         return {"FINISHED"}
 
 
