@@ -5,7 +5,8 @@ From the scene of the demo: tree (the tree and its cloud), levels (all levels, t
 folder: relighting, forest, photos, terrain and texmesh. Independent of the demo: head (a closed surface with a procedural material),
 relight (its relightable cloud under several Sun directions), unwrap (this surface with a checker on three UV maps), restore (a texture with
 a hole, restored with several settings), landscape (mountains in nested boxes), copses (voxel trees in nested boxes) and walk (twelve frames
-of a walk through caves), cliffs (a terrain with cliffs as a network of triangles and as right triangles).
+of a walk through caves), cliffs (a terrain with cliffs as a network of triangles and as right triangles), distance (a valley that was made
+distance-ready, half of it colored by level) and flight (the same as an animation).
 """
 
 import io
@@ -24,7 +25,7 @@ environment.import_farfield()
 
 import bpy
 import numpy as np
-from figures import terrain_views
+from figures import distance_flight, terrain_views
 from figures.crossfade_strip import draw_crossfade_strip
 from figures.forest_lods import render_forest
 from figures.relight_strip import draw_relight_strip
@@ -57,6 +58,7 @@ HEAD_VOXEL = 0.04
 MAP_PIXELS = 300
 MAP_MARGIN = 45  # empty pixels along the edges of the render
 CROSSFADE_PIXELS = 280
+DISTANCE_WIDTH, FLIGHT_WIDTH = 1600, 480
 RELIGHT_PIXELS = 290
 RELIGHT_ERROR = 0.01
 RELIGHT_ROUGHNESS = 0.3
@@ -81,9 +83,13 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     for index, name in enumerate(given.only):
         line.show(Progress(index / len(given.only), f"Rendering {name}"))
         with tempfile.TemporaryDirectory() as folder:
-            picture = Path(folder) / f"{name}.png"
+            picture = Path(folder) / f"{name}{'.gif' if name in ANIMATIONS else '.png'}"
             FIGURES[name](given.scene.absolute(), picture, given.samples)
-            save_webp(picture, out / f"{name}.webp")
+            if name in ANIMATIONS:
+                with atomic_file(out / picture.name) as temporary:
+                    shutil.copyfile(picture, temporary)
+            else:
+                save_webp(picture, out / f"{name}.webp")
     return f"{len(given.only)} images in {out}"
 
 
@@ -227,6 +233,18 @@ def cliffs(_scene: Path, path: Path, samples: int) -> None:
     write(path, draw_contact_sheet("The same terrain with flat shading", [images], [""], columns))
 
 
+def distance(_scene: Path, path: Path, samples: int) -> None:
+    """Render a valley that was made distance-ready, half of it with each level in its own color."""
+    print(distance_flight.build_ready_valley(DISTANCE_WIDTH, samples), file=sys.stderr)
+    distance_flight.render_still(path)
+
+
+def flight(_scene: Path, path: Path, samples: int) -> None:
+    """Render a flight through this valley, beside the same with colored levels."""
+    distance_flight.build_ready_valley(FLIGHT_WIDTH, samples)
+    distance_flight.render_flight(path)
+
+
 def read_png(path: Path) -> np.ndarray:
     """Return the values (H, W, 3) of an image file without color conversion, row 0 at the bottom."""
     image = bpy.data.images.load(str(path))
@@ -262,12 +280,17 @@ FIGURES = {
     "copses": copses,
     "walk": walk,
     "cliffs": cliffs,
+    "distance": distance,
+    "flight": flight,
     "relighting": copy_from_demo,
     "forest": copy_from_demo,
     "photos": copy_from_demo,
     "terrain": copy_from_demo,
     "texmesh": copy_from_demo,
 }
+
+
+ANIMATIONS = {"flight"}
 
 
 def open_demo_cloud(scene: Path) -> SceneCloud:

@@ -1,8 +1,9 @@
 """Which candidates become levels."""
 
+import numpy as np
 import pytest
 
-from farfield.addon.core.distance import LevelCandidate, choose_levels, combine_levels, needs_cloud
+from farfield.addon.core.distance import LevelCandidate, choose_levels, choose_vanishing, combine_levels, needs_cloud
 
 
 def candidates(*numbers: tuple[int, float]) -> list[LevelCandidate]:
@@ -33,3 +34,17 @@ def test_the_original_is_always_the_first_level():
 @pytest.mark.parametrize(("triangles", "pixel_size", "expected"), [(500, 1.0, False), (501, 1.0, True), (500, 1.1, True)])
 def test_a_cloud_is_needed_where_no_light_mesh_shows_a_small_object(triangles, pixel_size, expected):
     assert needs_cloud(candidates((9000, 0.0), (triangles, pixel_size)), side=8.0) is expected
+
+
+def test_small_parts_vanish_as_long_as_they_are_few():
+    sizes = np.array([[10.0, 10.0, 10.0], [1.0, 1.0, 1.0], [0.5, 0.5, 0.5], [1.0, 1.0, 4.0]])
+    assert choose_vanishing(sizes).tolist() == [False, True, True, True]
+    assert not choose_vanishing(np.ones((10, 3))).any(), "a fence of posts does not vanish one after the other"
+    assert not choose_vanishing(np.ones((1, 3))).any()
+
+
+def test_a_level_of_opaque_pieces_is_cheaper_than_fewer_transparent_triangles():
+    cards, pieces = LevelCandidate(1000, 0.0, transparent=600), LevelCandidate(1500, 1.0)
+    assert choose_levels([cards, pieces]) == [0, 1] and choose_levels([LevelCandidate(1000, 0.0), pieces]) == [0]
+    (fine, _), (coarse, _) = combine_levels([[cards, pieces], [LevelCandidate(10, 0.0)]])
+    assert (fine.triangles, fine.transparent, coarse.triangles, coarse.transparent) == (1010, 600, 1510, 0)

@@ -361,3 +361,24 @@ def test_only_selected_objects_are_made_ready_and_removed(camera):
     assert level_modifiers(first) and not level_modifiers(second)
     bpy.ops.farfield.distance_remove()
     assert not level_modifiers(first) and not read_chains()
+
+
+def test_a_small_part_of_a_collection_vanishes_before_the_rest(camera):
+    large, small = add_ball(0.0), add_ball(0.0)
+    for item in (large, small):
+        item.data = item.data.copy()
+        item.data.materials.clear()
+    small.scale, small.location = (0.02, 0.02, 0.02), (0.0, 0.0, 1.5)
+    collection = bpy.data.collections.new("Planet")
+    for item in (large, small):
+        bpy.context.scene.collection.objects.unlink(item)
+        collection.objects.link(item)
+    empty = bpy.data.objects.new("Planet", None)
+    empty.instance_type, empty.instance_collection, empty.location = "COLLECTION", collection, (0.0, 50.0, 0.0)
+    bpy.context.scene.collection.objects.link(empty)
+    build(**QUICK)
+    (chain,) = read_chains()
+    numbers = [len(level.objects) for level in chain.collections]
+    assert numbers[0] == 2 and numbers[-1] == 1
+    vanished = numbers.index(1)
+    assert chain.pixel_sizes[vanished] > 0.0692 > chain.pixel_sizes[vanished - 1]

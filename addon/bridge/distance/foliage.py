@@ -67,9 +67,9 @@ def simplify_foliage(item: bpy.types.Object, foliage: Foliage, scene: bpy.types.
     evaluated, elements, leaves = foliage.evaluated, foliage.elements, foliage.leaves
     rest = np.flatnonzero(elements.of_triangles < 0)
     branches: list[tuple[EvaluatedMesh | None, float]] = [(_take(evaluated, rest) if len(rest) else None, 0.0)]
-    if len(rest):
-        branches += decimate(branches[0][0], scene)
     side = longest_side(evaluated.vertices)
+    if len(rest):
+        branches += decimate(branches[0][0], scene, side)
     levels: list[SimplifiedMesh] = []
     previous = LevelCandidate(len(evaluated.triangles), 0.0, foliage.transparent_triangles)
     for step, pixel_size in enumerate((side * PIXELS).tolist()):

@@ -6,7 +6,6 @@ import bpy
 import numpy as np
 
 from ...core.distance.deviation import measure_pixel_size, measure_texture_shift
-from ...core.geometry.mesh import longest_side
 from ...core.jobs.progress import Progress, Steps
 from ..geometry.evaluated_mesh import EvaluatedMesh
 from ..geometry.mesh_writing import write_evaluated_mesh
@@ -45,10 +44,13 @@ def has_texture(evaluated: EvaluatedMesh) -> bool:
     return bool(evaluated.uv_map and find_images([material for material in materials if material is not None]))
 
 
-def simplify_solid(item: bpy.types.Object, evaluated: EvaluatedMesh, scene: bpy.types.Scene) -> Steps[list[SimplifiedMesh]]:
-    """Return decimated meshes of an object, finest first. `scene` is a temporary one."""
+def simplify_solid(
+    item: bpy.types.Object, evaluated: EvaluatedMesh, scene: bpy.types.Scene, side: float, min_triangles: int = MIN_TRIANGLES
+) -> Steps[list[SimplifiedMesh]]:
+    """Return decimated meshes of an object, finest first. `scene` is a temporary one. side: the longest one of what the object is part of,
+    in its units."""
     yield Progress(0.0, "Simplifying")
-    return [create_level(item, mesh, size) for mesh, size in decimate(evaluated, scene)]
+    return [create_level(item, mesh, size) for mesh, size in decimate(evaluated, scene, side, min_triangles)]
 
 
 def discard_unused() -> None:
@@ -68,7 +70,9 @@ def create_level(item: bpy.types.Object, evaluated: EvaluatedMesh, pixel_size: f
     return SimplifiedMesh(mesh, len(evaluated.triangles), pixel_size, transparent)
 
 
-def decimate(evaluated: EvaluatedMesh, scene: bpy.types.Scene) -> list[tuple[EvaluatedMesh, float]]:
+def decimate(
+    evaluated: EvaluatedMesh, scene: bpy.types.Scene, side: float, min_triangles: int = MIN_TRIANGLES
+) -> list[tuple[EvaluatedMesh, float]]:
     """Return meshes with fewer and fewer triangles, with their pixel sizes."""
     mesh = bpy.data.meshes.new("Farfield Decimated")
     item = bpy.data.objects.new("Farfield Decimated", mesh)
@@ -78,10 +82,10 @@ def decimate(evaluated: EvaluatedMesh, scene: bpy.types.Scene) -> list[tuple[Eva
         modifier = item.modifiers.new("Decimate", "DECIMATE")
         modifier.use_collapse_triangulate = True
         found: list[tuple[EvaluatedMesh, float]] = []
-        count, side = len(evaluated.triangles), longest_side(evaluated.vertices)
+        count = len(evaluated.triangles)
         vertices = evaluated.vertices[evaluated.triangles].reshape(-1, 3)
 
-        while (ratio := LIGHT_RATIO if count <= LIGHT_TRIANGLES else RATIO) * count > MIN_TRIANGLES:
+        while (ratio := LIGHT_RATIO if count <= LIGHT_TRIANGLES else RATIO) * count > min_triangles:
             modifier.ratio *= ratio
             scene.view_layers[0].update()
             depsgraph = scene.view_layers[0].depsgraph

@@ -6,7 +6,10 @@ A level shows where a pixel is larger than its pixel size. The original has the 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 MAX_COST_RATIO = 0.75  # Of a level to the level before; one that saves less is not worth a switch.
+MAX_VANISHING_AREA = 0.05  # Of parts that vanish, relative to that of all bounding boxes.
 TRANSPARENT_COST = 16  # Of a triangle that an opacity map cuts out, in opaque ones: rays go on behind it.
 # An object as small as this in an image, in pixels, needs a cloud if no mesh of so few triangles shows it. Cycles takes longer for the
 # transparent quads of a cloud than for such a mesh, and its images take more memory.
@@ -59,6 +62,19 @@ def combine_levels(parts: Sequence[Sequence[LevelCandidate]]) -> list[tuple[Leve
         triangles, transparent = sum(level.triangles for level in shown), sum(level.transparent for level in shown)
         combined.append((LevelCandidate(triangles, pixel_size, transparent), indices))
     return combined
+
+
+def choose_vanishing(sizes: np.ndarray) -> np.ndarray:
+    """Return which parts of an object may vanish where they are smaller than a pixel: the smallest ones, as many as have together
+    `MAX_VANISHING_AREA` times the area of all.
+
+    sizes: (N, 3), sides of their bounding boxes.
+    """
+    areas = (sizes * np.roll(sizes, 1, axis=1)).sum(axis=1)
+    order = np.argsort(np.linalg.norm(sizes, axis=1), kind="stable")
+    chosen = np.zeros(len(sizes), bool)
+    chosen[order] = np.cumsum(areas[order]) <= MAX_VANISHING_AREA * areas.sum()
+    return chosen
 
 
 def needs_cloud(candidates: Sequence[LevelCandidate], side: float) -> bool:

@@ -6,24 +6,25 @@ from dataclasses import dataclass
 
 import bpy
 import mathutils
+import numpy as np
 
 from ...bridge.billboards import clouds
 from ...bridge.billboards.scene_clouds import SceneCloud, clouds_in
-from ...bridge.distance.assets import Asset, count_own_triangles
+from ...bridge.distance.assets import Asset, count_own_triangles, read_box
 from ...bridge.distance.chains import Chain, NewLevel, create_chain
 from ...bridge.distance.foliage import Foliage, find_foliage, simplify_foliage
 from ...bridge.distance.level_switch import level_modifiers
-from ...bridge.distance.simplified_meshes import SimplifiedMesh, discard_unused, has_texture, simplify_solid
+from ...bridge.distance.simplified_meshes import MIN_TRIANGLES, SimplifiedMesh, discard_unused, has_texture, simplify_solid
 from ...bridge.geometry.mesh_arrays import count_triangles
 from ...bridge.geometry.meshes import read_mesh
 from ...bridge.objects import world_matrix
 from ...bridge.rendering.render_properties import copy_render_properties
 from ...bridge.texmesh.level_sets import LevelSet, level_sets_in, remove_level_set
+from ...core.arrays import TINY
 from ...core.billboards.settings import BillboardSettings, BuildOptions
-from ...core.distance.levels import LevelCandidate, choose_levels, combine_levels, needs_cloud
+from ...core.distance.levels import LevelCandidate, choose_levels, choose_vanishing, combine_levels, needs_cloud
 from ...core.distance.settings import DistanceSettings
 from ...core.errors import Cancelled, FarfieldError
-from ...core.geometry.mesh import longest_side
 from ...core.geometry.transforms import mean_scale
 from ...core.jobs.progress import BackgroundThread, Progress, Steps, subprogress
 from ...core.texmesh.settings import SceneSettings, TexmeshSettings
@@ -38,6 +39,7 @@ SIMPLIFY_FRACTION, LEVELS_FRACTION = 0.1, 0.45  # Of the work on an asset.
 # Of objects with a texture, which Decimate moves. They get perceptual levels; heavier ones and those without a texture are decimated,
 # which takes seconds.
 MAX_PERCEPTUAL_TRIANGLES = 200_000
+MIN_PART_TRIANGLES = 8  # Of levels of one of many objects.
 MAX_BASE_PIXEL = 0.01  # Pixel size of the mesh that clouds are made of, relative to the longest side; it is the error of the cloud.
 
 
@@ -64,25 +66,38 @@ class Simplified:
 
 @dataclass(frozen=True)
 class Part:
-    """An object of an asset, and its levels. copy: of the object. meshes: of the levels and their matrices in the asset, finest first, of
-    which the first is that of the object. candidates: the same as numbers, in units of the asset."""
+    """An object of an asset, and its levels.
+
+    Attributes:
+        copy: of the object.
+        meshes: of the levels and their matrices in the asset, finest first, of which the first is that of the object; None where it
+            vanishes.
+        candidates: the same as numbers, in units of the asset.
+        size: (3,) of the bounding box, in units of the asset.
+    """
 
     copy: bpy.types.Object
-    meshes: list[tuple[bpy.types.Mesh, mathutils.Matrix]]
+    meshes: list[tuple[bpy.types.Mesh, mathutils.Matrix] | None]
     candidates: list[LevelCandidate]
+    size: np.ndarray
 
 
 def build_chain(asset: Asset, fingerprint: str, settings: DistanceSettings, remarks: list[str]) -> Steps[Chain]:
     """Make the levels of an asset. What could not be made is added to `remarks`."""
     try:
         with temporary_scene() as scene:
+            side = float((asset.high - asset.low).max()) * mean_scale(asset.frame)
             copies = [_copy_object(item, scene) for item in asset.objects]
-            simplified = yield from subprogress(_simplify(copies, scene, settings), 0.0, SIMPLIFY_FRACTION)
+            simplified = yield from subprogress(_simplify(copies, scene, side, settings), 0.0, SIMPLIFY_FRACTION)
             textured = [item.copy for item in simplified if item.is_textured]
             if settings.perceptual_levels and textured:
                 steps = _run(scene, lambda: _prepare_levels(textured), f'levels of "{asset.name}"', remarks)
                 yield from subprogress(steps, SIMPLIFY_FRACTION, LEVELS_FRACTION)
             parts = [_read_part(asset, *pair, level_sets_in(scene)) for pair in zip(asset.objects, simplified, strict=True)]
+            for part, may_vanish in zip(parts, choose_vanishing(np.array([part.size for part in parts])), strict=True):
+                if may_vanish and settings.perceptual_levels:
+                    part.meshes.append(None)
+                    part.candidates.append(LevelCandidate(0, float(np.linalg.norm(part.size))))
             combined = combine_levels([part.candidates for part in parts])
             is_needed = not settings.perceptual_levels or needs_cloud(
                 [candidate for candidate, _ in combined], float((asset.high - asset.low).max())
@@ -99,8 +114,11 @@ def build_chain(asset: Asset, fingerprint: str, settings: DistanceSettings, rema
         discard_unused()
 
 
-def _simplify(copies: Sequence[bpy.types.Object], scene: bpy.types.Scene, settings: DistanceSettings) -> Steps[list[Simplified]]:
-    """Return light meshes of foliage and of heavy objects, which would take minutes otherwise."""
+def _simplify(
+    copies: Sequence[bpy.types.Object], scene: bpy.types.Scene, side: float, settings: DistanceSettings
+) -> Steps[list[Simplified]]:
+    """Return light meshes of foliage, of heavy objects and of those without a texture. side: the longest one of all together, in world
+    space."""
     found = []
     scene.view_layers[0].update()
     depsgraph = scene.view_layers[0].depsgraph
@@ -115,9 +133,10 @@ def _simplify(copies: Sequence[bpy.types.Object], scene: bpy.types.Scene, settin
                 levels = yield from subprogress(simplify_foliage(copy, foliage, scene), *span)
                 item = Simplified(copy, copy, 0.0, levels, foliage=foliage)
             elif len(evaluated.triangles) > MAX_PERCEPTUAL_TRIANGLES or not has_texture(evaluated):
-                levels = yield from subprogress(simplify_solid(copy, evaluated, scene), *span)
-                max_size = MAX_BASE_PIXEL * longest_side(evaluated.vertices)
-                base = next((level for level in reversed(levels) if level.pixel_size <= max_size), None)
+                own_side = side / max(mean_scale(world_matrix(copy)), TINY)
+                min_triangles = max(MIN_TRIANGLES // len(copies), MIN_PART_TRIANGLES)
+                levels = yield from subprogress(simplify_solid(copy, evaluated, scene, own_side, min_triangles), *span)
+                base = next((level for level in reversed(levels) if level.pixel_size <= MAX_BASE_PIXEL * own_side), None)
                 if base is not None:
                     item = Simplified(copy, _add_base(copy, base, scene), base.pixel_size, levels)
                 else:
@@ -239,7 +258,8 @@ def _read_part(asset: Asset, item: bpy.types.Object, simplified: Simplified, set
             world = world_matrix(level)
             candidates.append(LevelCandidate(count_triangles(level.data), error * mean_scale(world) / unit))
             meshes.append((level.data, inverse @ world))
-    return Part(copy, meshes, candidates)
+    low, high = read_box([copy], mathutils.Matrix.Identity(4), copy.users_scene[0].view_layers[0].depsgraph)
+    return Part(copy, meshes, candidates, (high - low) / unit)
 
 
 def _assemble(
@@ -263,7 +283,8 @@ def _assemble(
     for index in choose_levels(candidates):
         if index < len(combined):
             indices = combined[index][1]
-            objects = [_create_object(part, number) for part, number in zip(parts, indices, strict=True)]
+            shown = [(part, number) for part, number in zip(parts, indices, strict=True) if part.meshes[number] is not None]
+            objects = [_create_object(part, number) for part, number in shown]
         else:
             level = quads[index - len(combined)][0]
             objects = [(level, inverse @ world_matrix(level))]
