@@ -240,7 +240,7 @@ def distance(_scene: Path, path: Path, samples: int) -> None:
 
 
 def flight(_scene: Path, path: Path, samples: int) -> None:
-    """Render a flight through this valley, beside the same with colored levels."""
+    """Render a flight through this valley, and next to it the same with colored levels."""
     distance_flight.build_ready_valley(FLIGHT_WIDTH, samples)
     distance_flight.render_flight(path)
 

@@ -1,6 +1,7 @@
-"""Blender as a program: redrawing of its editors, the messages of its errors, and the Python modules that it brings along."""
+"""Blender as a program: its editors, data that nothing uses, the messages of its errors, and the Python modules that it brings along."""
 
 import importlib
+from collections.abc import Iterable
 from types import ModuleType
 
 import bpy
@@ -14,6 +15,12 @@ def redraw_areas(*types: str) -> None:
         for area in window.screen.areas:
             if not types or area.type in types:
                 area.tag_redraw()
+
+
+def remove_unused_data(*kinds: Iterable[bpy.types.ID | None]) -> None:
+    """Remove data without users, one kind after the other, since the first ones may use later ones, such as meshes, materials, images."""
+    for blocks in kinds:
+        bpy.data.batch_remove([block for block in dict.fromkeys(blocks) if block is not None and not block.users])
 
 
 def error_sentence(error: RuntimeError) -> str:

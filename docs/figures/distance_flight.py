@@ -73,12 +73,12 @@ def render_still(path: Path) -> None:
     real = render_frame(1)
     color_levels()
     colored = render_frame(1)
-    middle = real.shape[1] // 2
-    Image.fromarray(np.concatenate([real[:, :middle], colored[:, middle:]], axis=1)).save(path)
+    half = real.shape[1] // 2
+    Image.fromarray(np.concatenate([real[:, :half], colored[:, half:]], axis=1)).save(path)
 
 
 def render_flight(path: Path) -> None:
-    """Write a GIF of the flight, as it renders beside its levels."""
+    """Write a GIF of the flight, as it renders and next to it its levels."""
     real = [render_frame(frame) for frame in range(1, FRAMES + 1)]
     color_levels()
     pairs = [np.concatenate([image, render_frame(1 + number)], axis=1) for number, image in enumerate(real)]

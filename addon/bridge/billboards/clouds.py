@@ -8,6 +8,7 @@ import numpy as np
 
 from ...core.billboards.cloud import Cloud, Level
 from ...core.geometry.cameras import Camera
+from ..blender import remove_unused_data
 from ..cameras import read_scene_camera
 from ..geometry.mesh_arrays import read_positions, write_attribute, write_geometry, write_integers
 from ..geometry.meshes import Source
@@ -96,7 +97,7 @@ def discard_collection(collection: bpy.types.Collection) -> None:
         if node.type == "GROUP"
     }
     bpy.data.batch_remove([*owned, collection])
-    bpy.data.batch_remove([group for group in groups if group.users == 0])
+    remove_unused_data(groups)
 
 
 def read_drawn_primitives(mesh: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from ...core.json_values import parse_json
 from .. import lod_crossfade
+from ..blender import remove_unused_data
 from ..imaging.images import find_images
 from ..lod_sets import KIND
 
@@ -153,11 +154,10 @@ def remove_unused_chains() -> None:
 
 def _remove_chain(chain: Chain) -> None:
     objects = chain.objects
-    data = list(dict.fromkeys(item.data for item in objects))
+    data = [item.data for item in objects]
     slots = [slot.material for item in objects for slot in item.material_slots]
-    materials = list(dict.fromkeys(material for material in slots if material is not None))
+    materials = [material for material in slots if material is not None]
     images = find_images(materials)
     trees = [node.node_tree for material in materials if material.node_tree for node in material.node_tree.nodes if node.type == "GROUP"]
     bpy.data.batch_remove([*objects, *chain.all_collections])
-    for blocks in (data, materials, images, list(dict.fromkeys(tree for tree in trees if tree is not None))):
-        bpy.data.batch_remove([block for block in blocks if block.users == 0])
+    remove_unused_data(data, materials, images, trees)

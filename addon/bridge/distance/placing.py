@@ -6,6 +6,7 @@ from contextlib import contextmanager
 import bpy
 
 from ...compat import read_node_input, set_node_input
+from ..blender import remove_unused_data
 from ..lod_sets import KIND
 from ..rendering.render_properties import ensure_transparent_bounces, estimate_transparent_bounces
 from ..shading.node_builder import NodeBuilder, ensure_shared_group
@@ -182,7 +183,7 @@ def clean_up(scene: bpy.types.Scene) -> None:
     """Remove levels and node groups that nothing uses, and without any levels restore the limit of transparent bounces."""
     remove_unused_chains()
     for name in (NAME, VIEW_NAME, PLACES_NAME):  # The first uses the second.
-        bpy.data.batch_remove([group for group in bpy.data.node_groups if group.name.startswith(name) and group.users == 0])
+        remove_unused_data([group for group in bpy.data.node_groups if group.name.startswith(name)])
     if BOUNCES in scene and not has_levels(scene):
         before, after = scene[BOUNCES]
         if scene.cycles.transparent_max_bounces == after:

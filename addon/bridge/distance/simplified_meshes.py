@@ -7,6 +7,7 @@ import numpy as np
 
 from ...core.distance.deviation import measure_pixel_size, measure_texture_shift
 from ...core.jobs.progress import Progress, Steps
+from ..blender import remove_unused_data
 from ..geometry.evaluated_mesh import EvaluatedMesh
 from ..geometry.mesh_writing import write_evaluated_mesh
 from ..geometry.meshes import find_material, read_mesh
@@ -55,8 +56,8 @@ def simplify_solid(
 
 def discard_unused() -> None:
     """Remove the simplified meshes, and then the opaque materials, that nothing uses."""
-    for blocks in (bpy.data.meshes, bpy.data.materials):
-        bpy.data.batch_remove([block for block in blocks if block.get(KIND) == CHAIN and not block.users])
+    meshes, materials = ([block for block in blocks if block.get(KIND) == CHAIN] for blocks in (bpy.data.meshes, bpy.data.materials))
+    remove_unused_data(meshes, materials)
 
 
 def create_level(item: bpy.types.Object, evaluated: EvaluatedMesh, pixel_size: float, transparent: int = 0) -> SimplifiedMesh:

@@ -13,6 +13,7 @@ import numpy as np
 from ...core.geometry.cameras import Camera, distance_to_box
 from ...core.geometry.transforms import mean_scale, transform_points
 from .. import lod_crossfade
+from ..blender import remove_unused_data
 from ..geometry.joined_meshes import find_frame
 from ..geometry.mesh_arrays import count_triangles
 from ..geometry.mesh_pool import is_local
@@ -210,13 +211,11 @@ def _place(item: bpy.types.Object, source: bpy.types.Object) -> None:
 def remove_level_set(levels: LevelSet) -> None:
     """Remove the objects, meshes, materials and images of levels that nothing else uses, and their collection if it is empty then."""
     restore([levels.source])
-    data = list(dict.fromkeys(level.data for level in levels.levels))
-    materials = list(dict.fromkeys(material for mesh in data for material in mesh.materials if material is not None))
+    data = [level.data for level in levels.levels]
+    materials = [material for mesh in data for material in mesh.materials if material is not None]
     images = [image for image in find_images(materials) if image.get(KIND) == IMAGE]
     bpy.data.batch_remove(levels.levels)
-    bpy.data.batch_remove([mesh for mesh in data if mesh.users == 0])
-    bpy.data.batch_remove([material for material in materials if material.users == 0])
-    bpy.data.batch_remove([image for image in images if image.users == 0])
+    remove_unused_data(data, materials, images)
     groups = [item for item in bpy.data.collections if item.get(KIND) == LEVEL and levels.collection.name in item.children]
     for collection in (levels.collection, *groups):
         if not collection.objects and not collection.children:

@@ -10,6 +10,7 @@ from ...bridge.billboards.capture import capture_textures
 from ...bridge.billboards.clouds import create_cloud
 from ...bridge.billboards.exports import create_plain_mesh
 from ...bridge.billboards.level_maps import LevelTextures
+from ...bridge.blender import remove_unused_data
 from ...bridge.geometry.joined_meshes import find_frame
 from ...bridge.geometry.mesh_arrays import read_positions
 from ...bridge.geometry.meshes import Source, read_source
@@ -66,8 +67,7 @@ def _remove(collection: bpy.types.Collection, kept: Sequence[bpy.types.Image]) -
     materials = [material for mesh in meshes for material in mesh.materials]
     images = [image for image in find_images(materials) if image not in kept]
     bpy.data.batch_remove([*collection.objects, *meshes])
-    bpy.data.batch_remove([material for material in materials if material.users == 0])
-    bpy.data.batch_remove([image for image in images if image.users == 0])
+    remove_unused_data(materials, images)
     bpy.data.collections.remove(collection)
 
 
