@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.restore import regions, texture
+from farfield.addon.core.restore import guidance, regions, texture
 from farfield.addon.core.restore.guidance import Guide, build_guide, describe_page
 from farfield.addon.core.restore.labeling import Candidate, Labeling, measure_contrast
 from farfield.addon.core.restore.levels import Page, build_levels
@@ -119,6 +119,33 @@ class TestLabeling:
         labeling = Labeling(level, measure_contrast(level), neutral_guide(level), pixels, candidates)
         labeling.optimize_blocks()
         assert (labeling.sources == candidates[1].sources).all()
+
+    @pytest.mark.parametrize("seed", range(2))
+    def test_the_cost_is_the_sum_of_all_seams(self, seed):
+        level, pixels, candidates = self.prepare(seed)
+        labeling = Labeling(level, measure_contrast(level), None, pixels, candidates)
+        labeling.optimize_blocks()
+        assert labeling.cost(neutral_guide(level)) == pytest.approx(seam_cost(level, pixels, labeling.sources), rel=1e-4)
+
+
+@pytest.mark.parametrize(("ratio", "are_copies"), [(1.2, [False, True, False, True]), (1.5, [False, False, False, False])])
+def test_copies_alone_are_attempts_where_they_cost_about_as_little_as_a_fill(ratio, are_copies):
+    """A texture that repeats and a fill continue it exactly: copies cost `ratio` times as much by the guide."""
+    tile = np.random.default_rng(3).random((20, 20, 1), np.float32)
+    image, hole = np.tile(tile, (5, 5, 1)), disk((100, 100), 9)
+    page, _ = build_level(image, hole)
+    nothing = np.zeros_like(hole)
+    level = build_levels([page, Page(image, nothing, ~nothing, nothing)], 1)[0]
+    pixels, offset = np.flatnonzero(level.hole), int(level.tops[1]) * level.shape[1]
+    everything, deviation = np.arange(len(pixels)), np.sqrt(level.texture[level.valid].var())
+    fill, copy = Candidate(everything, pixels + offset), Candidate(everything, pixels + level.offset(np.array((-20, 20))))
+    zeros = np.zeros(level.hole.size, np.float32)
+    lacks = np.where(np.arange(len(zeros)) >= offset, guidance.COLOR_WEIGHT * deviation, zeros)
+    colors = (guidance.COLOR_TOLERANCE + ratio) * level.valid[:, None].astype(np.float32)
+    guide = Guide(colors, zeros, zeros + 1.0, lacks, [[offset], []], [False, False])
+    attempts = list(regions.make_attempts(level, measure_contrast(level), guide, pixels, [[copy]] * 4, [fill]))
+    assert [(each.sources == copy.sources).all() for each in attempts] == are_copies
+    assert all((each.sources == fill.sources).all() != is_copy for each, is_copy in zip(attempts, are_copies, strict=True))
 
 
 @pytest.mark.parametrize(("half_width", "fill_count", "is_shallow"), [(9, 2, True), (9, 1, False), (14, 2, False)])

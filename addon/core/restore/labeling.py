@@ -49,15 +49,16 @@ class Labeling:
     sources: (P,) int64, the source of each pixel.
     """
 
-    def __init__(self, level: Level, contrast: np.ndarray, guide: Guide, pixels: np.ndarray, candidates: list[Candidate]) -> None:
-        """Start with the first candidate for each of the `pixels` (P,) of `level`; `contrast` (H * W,) is that of its texture."""
+    def __init__(self, level: Level, contrast: np.ndarray, guide: Guide | None, pixels: np.ndarray, candidates: list[Candidate]) -> None:
+        """Start with the first candidate for each of the `pixels` (P,) of `level`; `contrast` (H * W,) is that of its texture. Without a
+        guide, only seams cost."""
         self._level, self._contrast, self._guide, self._pixels, self._candidates = level, contrast, guide, pixels, candidates
         self.sources = np.full(len(pixels), -1)
         for members, targets in reversed(candidates):
             self.sources[members] = targets
         self._deviation = max(float(np.sqrt(level.texture[level.valid].var(axis=0).sum())), 1e-6)
         self._scale = RESOLUTION / self._deviation
-        self._costs = guide.costs(pixels, self.sources, self._deviation)
+        self._costs = self._guide_costs(guide, pixels, self.sources)
         numbers = np.full(level.hole.size, -1, np.int32)
         numbers[pixels] = np.arange(len(pixels))
         neighbors, exists = level.neighbors(pixels, SIDES)
@@ -84,6 +85,18 @@ class Labeling:
             kept = near[members] & (self.sources[members] != targets)
             self._expand(members[kept], targets[kept], np.arange(np.count_nonzero(kept)))
 
+    def cost(self, guide: Guide) -> float:
+        """Return the sum that is minimized, with the costs of copies by `guide`."""
+        total = float(self._guide_costs(guide, self._pixels, self.sources).sum())
+        for side, offset in enumerate(self._offsets):
+            known, other = self._known[:, side], self._neighbors[:, side]
+            at = np.flatnonzero(known >= 0)
+            total += BOUNDARY_WEIGHT * float(self._boundary(self.sources[at] + offset, known[at]).sum())
+            if side < 2:  # The first two sides reach each pair of neighbors once.
+                at = np.flatnonzero(other >= 0)
+                total += float(self._seam(self.sources[at], self.sources[other[at]], offset).sum())
+        return total
+
     def _near_seams(self) -> np.ndarray:
         """Return the pixels (P,) bool at most NEAR_SEAM away from a seam or the boundary of the hole."""
         others = self._neighbors
@@ -102,7 +115,7 @@ class Labeling:
         place = np.full(len(self._pixels), -1)  # within members
         place[members] = np.arange(len(members))
         current, pairs = self.sources[members], []
-        costs = self._guide.costs(self._pixels[members], targets, self._deviation)
+        costs = self._guide_costs(self._guide, self._pixels[members], targets)
         linear += np.bincount(nodes, costs - self._costs[members], count)
         for side, offset in enumerate(self._offsets):
             known = self._known[members, side]
@@ -125,6 +138,9 @@ class Labeling:
                 pairs.append((nodes[at][is_cut], nodes[to][is_cut], self._scale * weights[is_cut]))
         changes = minimize_binary(self._scale * linear, *(np.concatenate(parts) for parts in zip(*pairs, strict=True)))[nodes]
         self.sources[members[changes]], self._costs[members[changes]] = targets[changes], costs[changes]
+
+    def _guide_costs(self, guide: Guide | None, pixels: np.ndarray, sources: np.ndarray) -> np.ndarray:
+        return np.zeros(len(pixels)) if guide is None else guide.costs(pixels, sources, self._deviation)
 
     def _boundary(self, first: np.ndarray, known: np.ndarray) -> np.ndarray:
         """Return the cost (E,) of copies of `first` (E,) where `known` (E,) is."""

@@ -1,10 +1,11 @@
 """Texture synthesis by copies of whole regions of the source, with seams where they show least.
 
-Several attempts are made for each hole. Those are kept whose patches are, all holes together, distributed most like the patches around the
-holes, by sliced Wasserstein distances of random projections of the patches (Rabin et al., "Wasserstein Barycenter and Its Application to
-Texture Mixing", 2011), computed from histograms, which can be added.
+Several attempts are made for each hole, some of them by copies alone. Those are kept whose patches are, all holes together, distributed
+most like the patches around the holes, by sliced Wasserstein distances of random projections of the patches (Rabin et al., "Wasserstein
+Barycenter and Its Application to Texture Mixing", 2011), computed from histograms, which can be added.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ DEEP = 1.5  # bands; holes that are not deeper are filled at once
 MIN_ATTEMPTS, MAX_ATTEMPTS = 2, 6  # per hole
 ALL_ATTEMPTS = 12  # for all holes together, if MIN_ATTEMPTS allows it
 NEARBY, MIN_NEARBY = 0.5, 16  # distance of the patches to resemble, relative to the root of the hole's area, and in pixels
+MAX_FREE_COST = 1.3  # Cost of copies alone by the guide, relative to the lowest with fills. Objects are above 1.4.
 ROUNDS = 3  # in which attempts are chosen, one hole after the other
 PROJECTIONS, BINS = 32, 96  # random directions in which patches are compared, and bins of their histograms
 MAX_PATCHES = 20_000
@@ -92,10 +94,8 @@ def _fill_bands(level: Level, guide: Guide, generator: np.random.Generator, done
         if not len(pixels):
             continue
         choice = _Choice(pixels, [], [])
-        for each in candidates:
-            each += [Candidate(np.arange(len(pixels)), (pixels + offset).astype(np.int32)) for offset in fills]
-            labeling = Labeling(level, contrast, guide, pixels, each)
-            labeling.optimize_blocks()
+        added = [Candidate(np.arange(len(pixels)), (pixels + offset).astype(np.int32)) for offset in fills]
+        for labeling in make_attempts(level, contrast, guide, pixels, candidates, added):
             level.copy(pixels, labeling.sources)
             choice.attempts.append(labeling)
             choice.histograms.append(len(pixels) * statistics.histograms(pixels, generator))
@@ -108,6 +108,28 @@ def _fill_bands(level: Level, guide: Guide, generator: np.random.Generator, done
         level.copy(choice.pixels, choice.attempts[number].sources)
     for choice in choices:
         level.filled[choice.pixels] = True
+
+
+def make_attempts(
+    level: Level, contrast: np.ndarray, guide: Guide, pixels: np.ndarray, candidates: list[list[Candidate]], fills: list[Candidate]
+) -> Iterator[Labeling]:
+    """Yield a labeling of the `pixels` (P,) of one page for each list of `candidates`; `contrast` (H * W,) is that of the texture.
+
+    Texture needs neither guide nor fills, so every other attempt is free of them, until a free one costs too much by the guide.
+    """
+    lowest, may_be_free = np.inf, True
+    for number, copies in enumerate(candidates):
+        if copies and number % 2 and may_be_free:
+            labeling = Labeling(level, contrast, None, pixels, copies)
+            labeling.optimize_blocks()
+            may_be_free = labeling.cost(guide) <= MAX_FREE_COST * lowest
+            if may_be_free:
+                yield labeling
+                continue
+        labeling = Labeling(level, contrast, guide, pixels, copies + fills)
+        labeling.optimize_blocks()
+        lowest = min(lowest, labeling.cost(guide))
+        yield labeling
 
 
 def _find_nearby(level: Level, page: int, pixels: np.ndarray) -> np.ndarray:
