@@ -30,6 +30,8 @@ environment.find_blender_modules()
 # Machines are shared: no test fails for being slow.
 hypothesis.settings.register_profile("no_deadline", hypothesis.settings.default, deadline=None)
 hypothesis.settings.load_profile("no_deadline")
+# Of collections of garbage, one in 70 is left. The collection of the tests and the syntax trees of all files otherwise take twice as long.
+gc.set_threshold(50_000, 20, 20)
 # Without --all, a test takes this fraction of the random examples that it asks for, but MIN_EXAMPLES if it asks for as many.
 EXAMPLES_FRACTION, MIN_EXAMPLES = 0.25, 5
 

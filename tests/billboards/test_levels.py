@@ -14,6 +14,7 @@ from farfield.addon.core.geometry.mesh import TriangleMesh, concatenate
 from farfield.addon.core.jobs.progress import Progress, run_to_end
 from shapes import box, bumpy_sphere, cylinder, leaf_cards, sheet, sphere
 
+EXHAUSTIVE = pytest.mark.exhaustive
 MESHES = {
     "bumpy": bumpy_sphere(6),
     "leaves": leaf_cards(80, size=0.05),
@@ -21,7 +22,7 @@ MESHES = {
 }
 
 
-@pytest.fixture(scope="module", params=MESHES)
+@pytest.fixture(scope="module", params=[pytest.param("bumpy", marks=EXHAUSTIVE), pytest.param("leaves", marks=EXHAUSTIVE), "tree"])
 def nested(request) -> tuple[TriangleMesh, Cloud]:
     """Return a mesh and its cloud of four nested levels."""
     mesh = MESHES[request.param]
@@ -116,7 +117,7 @@ def test_corners_give_way_where_that_keeps_a_level():
 
 
 def test_a_cloud_that_is_no_lighter_than_its_source_proposes_an_error():
-    mesh = bumpy_sphere(8)
+    mesh = bumpy_sphere(6)
     cloud = build(mesh, error=0.01, levels=1)
     (note,) = cloud.notes
     assert note.startswith('The cloud of "Shape" has') and "its source 224: an error of about" in note
