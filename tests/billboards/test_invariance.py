@@ -89,7 +89,7 @@ def test_rotated_box_has_rotated_faces(seed):
 
 def test_rotation_changes_little():
     """The error is the same length for both, although the bounding boxes differ."""
-    mesh = concatenate([BUMPY, transform(leaf_cards(25), 1.5)])
+    mesh = concatenate([BUMPY, transform(leaf_cards(40), 1.5)])
     rotated = transform(mesh, rotation=random_rotation(1))
     error = 0.05 * longest_side(mesh.vertices) / longest_side(rotated.vertices)
     before, after = build_test_cloud(mesh), build_test_cloud(rotated, error=error)

@@ -117,7 +117,7 @@ def test_corners_give_way_where_that_keeps_a_level():
 
 
 def test_a_cloud_that_is_no_lighter_than_its_source_proposes_an_error():
-    mesh = bumpy_sphere(6)
+    mesh = bumpy_sphere(8)
     cloud = build(mesh, error=0.01, levels=1)
     (note,) = cloud.notes
     assert note.startswith('The cloud of "Shape" has') and "its source 224: an error of about" in note

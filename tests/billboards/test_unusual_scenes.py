@@ -128,8 +128,7 @@ class TestRemovedParts:
         build()
         fine, coarse = levels().values()
         for name in ("farfield_level", "farfield_error", "farfield_quads", "farfield_texels"):
-            whole = fine[name]
-            del fine[name]
+            whole = fine.pop(name)
             if value is not None:
                 fine[name] = value
             assert find_cloud(bpy.context.scene, coarse).levels == [coarse], name
@@ -137,7 +136,6 @@ class TestRemovedParts:
             select(fine)
             assert not bpy.ops.farfield.billboards_build.poll() and not bpy.ops.farfield.billboards_show.poll(), name
             assert not panels.FARFIELD_PT_billboards_levels.poll(bpy.context), name
-            del fine[name]
             fine[name] = whole
             assert find_cloud(bpy.context.scene, fine).levels == [fine, coarse]
 
@@ -149,18 +147,19 @@ class TestRemovedParts:
         assert not bpy.ops.farfield.billboards_build.poll() and not bpy.ops.farfield.billboards_show.poll()
 
 
+@pytest.fixture(scope="module")
+def library(extension, tmp_path_factory):
+    """A file with a cloud."""
+    blender_scenes.reset_scene()
+    cube()
+    build(textures=True, samples=1, error=10.0)
+    path = tmp_path_factory.mktemp("linked") / "library.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    return path
+
+
 class TestLinkedCloud:
     """The cloud comes from a library: what is changed is not saved with the file."""
-
-    @pytest.fixture(scope="class")
-    def library(self, extension, tmp_path_factory):
-        """A file with a cloud."""
-        blender_scenes.reset_scene()
-        cube()
-        build(textures=True, samples=1, error=10.0)
-        path = tmp_path_factory.mktemp("linked") / "library.blend"
-        bpy.ops.wm.save_as_mainfile(filepath=str(path))
-        return path
 
     @pytest.fixture
     def linked(self, library):

@@ -114,7 +114,7 @@ def test_levels_that_the_refit_made_worse_are_those_of_the_simplification(monkey
 
     refit_as_usual = level_chain.refit_starts
     monkeypatch.setattr(level_chain, "refit_starts", refit_starts)
-    mesh = textured_sphere(12)
+    mesh = textured_sphere(8)
     settings = TexmeshSettings(levels="ratios", ratios="0.4", views=2, max_image=32)
     chain = run_to_end(level_chain.make_levels(mesh, [checkered(16)], settings))
     assert chain.levels[1].is_moved != is_spiked
@@ -139,7 +139,7 @@ def test_optimized_levels_of_large_meshes_are_simplified_once(monkeypatch, order
     make_engine = levels.CollapseEngine
     monkeypatch.setattr(levels, "CollapseEngine", lambda *values, **named: engines.append(make_engine(*values, **named)) or engines[-1])
     settings = TexmeshSettings(levels="ratios", ratios="0.4", views=2, max_image=32, removal_order=order)
-    mesh = textured_sphere(12)
+    mesh = textured_sphere(8)
     chain = run_to_end(level_chain.make_levels(mesh, [checkered(16)], settings))
     assert len(engines) == count
     assert len(chain.levels) == 2 and len(chain.levels[1].mesh.triangles) <= round(0.4 * len(mesh.triangles))
