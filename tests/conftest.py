@@ -7,6 +7,7 @@ import shutil
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import hypothesis
@@ -54,6 +55,16 @@ def empty_scene(extension):
 
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     return bpy.context.scene
+
+
+@pytest.fixture(scope="module")
+def few_samples() -> Iterator[None]:
+    """Fit levels to few points, for promises that do not depend on how near they are to their source."""
+    from farfield.addon.core.texmesh.refitting import refit
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(refit, "TUNING", replace(refit.TUNING, min_samples=2000))
+        yield
 
 
 @pytest.fixture

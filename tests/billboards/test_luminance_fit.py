@@ -33,7 +33,7 @@ def crown():
     """A dense crown of opaque leaves, as `build` returns it, and its object."""
     blender_scenes.reset_scene()
     mesh = bpy.data.meshes.new("Crown")
-    leaves = shapes.leaf_cards(1200, 0.08, 0.2)
+    leaves = shapes.leaf_cards(600, 0.11, 0.2)
     write_triangles(mesh, leaves.vertices, leaves.triangles)
     mesh.materials.append(blender_scenes.create_material("Leaf", (0.3, 0.5, 0.1), 1.0))
     item = bpy.data.objects.new("Crown", mesh)

@@ -22,7 +22,7 @@ from farfield.addon.operators.distance.job import prepare
 from farfield.addon.operators.job_run import run_job
 from textured_scenes import textured_ball
 
-pytestmark = pytest.mark.usefixtures("empty_scene")
+pytestmark = pytest.mark.usefixtures("empty_scene", "few_samples")
 QUICK = {"min_triangles": 10, "billboard_cloud": False}
 ONLY_CLOUD = {"min_triangles": 10, "perceptual_levels": False}
 

@@ -16,7 +16,7 @@ from glb_scenes import random_image
 from lib import command_line, environment
 from textured_scenes import checker_image, count_triangles, textured_ball, textured_material
 
-pytestmark = pytest.mark.usefixtures("empty_scene")
+pytestmark = pytest.mark.usefixtures("empty_scene", "few_samples")
 SCRIPT = environment.ROOT / "scripts" / "texmesh.py"
 FAST = ("--views", "1", "--max-image", "32", "--vertices", "original")
 
