@@ -9,9 +9,12 @@ import re
 from functools import cache
 from pathlib import Path
 
+import pytest
+
 from lib import environment
 from source_files import parse_file
 
+pytestmark = pytest.mark.once
 ROOT = environment.ROOT
 SCRIPTS = ROOT / "scripts"
 WORKER_MODULE = re.compile(r"\baddon(?:\.\w+)+")

@@ -6,9 +6,12 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
+import pytest
+
 from lib import environment
 from source_files import parse_file
 
+pytestmark = pytest.mark.once
 ADDON = environment.ROOT / "addon"
 NETWORK = {
     "socket", "ssl", "http", "ftplib", "requests", "aiohttp", "httpx", "urllib", "urllib3", "webbrowser", "xmlrpc", "smtplib", "telnetlib",

@@ -200,7 +200,7 @@ def test_every_face_of_a_proxy_keeps_its_material(scene):
 
 
 def test_coverage_is_preserved_while_fading(scene):
-    _, cloud = build_cloud(blender_scenes.ball("Ball"), error=5.0, textures=False)
+    _, cloud = build_cloud(blender_scenes.ball("Ball"), error=5.0)
     bpy.ops.farfield.billboards_crossfade(fade_range=100.0)
     scene.camera.data.type = "ORTHO"
     areas = []

@@ -14,6 +14,7 @@ from streaming_scenarios import Exchange, hide_table, random_exchange
 from farfield.addon.core.packages.planning import ErrorModel
 from lib import environment
 
+pytestmark = pytest.mark.once
 PAGE = environment.ROOT / "addon" / "core" / "packages" / "page" / "controller.js"
 RUNNER = """
 import { readFileSync } from "node:fs";

@@ -18,6 +18,7 @@ from farfield.addon.core import packages
 from farfield.addon.core.errors import FileError
 from textured_models import cube, torus
 
+pytestmark = pytest.mark.once
 DECODER = Path(packages.__file__).parent / "page" / "mesh_decoding.js"
 RUNNER = """
 import { readFileSync } from "node:fs";

@@ -163,7 +163,7 @@ class TestAlignment:
         assert aligned < 1.05 * without + 1e-3
 
     def test_details_are_sharper_if_cameras_are_wrong(self):
-        mesh, uvs, photographs = shoot(5)
+        mesh, uvs, photographs = shoot(6)
         texture, random = detailed_texture(), np.random.default_rng(1)
         photographs = [turn(each, random.normal(size=3) * 0.35) for each in photographs]
         without, aligned = (self.score(photographs, mesh, uvs, texture, alignment=on) for on in (False, True))
