@@ -128,7 +128,7 @@ class TestRemovedParts:
         build()
         fine, coarse = levels().values()
         for name in ("farfield_level", "farfield_error", "farfield_quads", "farfield_texels"):
-            whole = fine.pop(name)
+            value_before = fine.pop(name)
             if value is not None:
                 fine[name] = value
             assert find_cloud(bpy.context.scene, coarse).levels == [coarse], name
@@ -136,7 +136,7 @@ class TestRemovedParts:
             select(fine)
             assert not bpy.ops.farfield.billboards_build.poll() and not bpy.ops.farfield.billboards_show.poll(), name
             assert not panels.FARFIELD_PT_billboards_levels.poll(bpy.context), name
-            fine[name] = whole
+            fine[name] = value_before
             assert find_cloud(bpy.context.scene, fine).levels == [fine, coarse]
 
     def test_an_empty_called_a_cloud(self):
