@@ -7,6 +7,7 @@ import shutil
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import hypothesis
@@ -30,6 +31,8 @@ environment.find_blender_modules()
 # Machines are shared: no test fails for being slow.
 hypothesis.settings.register_profile("no_deadline", hypothesis.settings.default, deadline=None)
 hypothesis.settings.load_profile("no_deadline")
+# Of collections of garbage, one in 70 is left. The collection of the tests and the syntax trees of all files otherwise take twice as long.
+gc.set_threshold(50_000, 20, 20)
 # Without --all, a test takes this fraction of the random examples that it asks for, but MIN_EXAMPLES if it asks for as many.
 EXAMPLES_FRACTION, MIN_EXAMPLES = 0.25, 5
 
@@ -52,6 +55,16 @@ def empty_scene(extension):
 
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     return bpy.context.scene
+
+
+@pytest.fixture(scope="module")
+def few_samples() -> Iterator[None]:
+    """Fit levels to few points, for promises that do not depend on how near they are to their source."""
+    from farfield.addon.core.texmesh.refitting import refit
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(refit, "TUNING", replace(refit.TUNING, min_samples=2000))
+        yield
 
 
 @pytest.fixture

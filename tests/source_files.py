@@ -15,6 +15,17 @@ CACHES = {".git", ".venv", ".hypothesis", ".pytest_cache", ".ruff_cache", "__pyc
 OUTPUT_FOLDERS = {ROOT / "build", ROOT / "dist", ROOT / "out"}
 
 
+@cache
+def parse(text: str) -> ast.Module:
+    """The syntax tree of a Python file, which all tests of a process share."""
+    return ast.parse(text)
+
+
+def parse_file(path: Path) -> ast.Module:
+    """The syntax tree of the Python file `path`."""
+    return parse(path.read_text(encoding="utf-8"))
+
+
 class SourceFile:
     """A text file of the project, parsed if it is Python."""
 
@@ -31,7 +42,7 @@ class SourceFile:
 
     @cached_property
     def tree(self) -> ast.Module:
-        return ast.parse(self.text)
+        return parse(self.text)
 
     @cached_property
     def nodes(self) -> dict[type[ast.AST], list[ast.AST]]:

@@ -19,6 +19,7 @@ import pytest
 from lib import environment
 from source_files import SourceFile, fields_of, identifiers, our_paths, words_of
 
+pytestmark = pytest.mark.once
 ROOT = environment.ROOT
 ADDON = ROOT / "addon"
 BLENDER_MODULES = {"aud", "bl_math", "blf", "bmesh", "bpy", "bpy_extras", "gpu", "gpu_extras", "imbuf", "mathutils"}

@@ -20,6 +20,9 @@ from textured_scenes import textured_ball
 SMALL = {"levels": "ratios", "ratios": "0.5", "views": 2, "max_image": 32, "vertices": "original"}
 
 
+pytestmark = pytest.mark.usefixtures("few_samples")
+
+
 @pytest.fixture
 def folder(empty_scene, tmp_path) -> Path:
     """A folder with the open file and an image that the active object, a ball, shows."""

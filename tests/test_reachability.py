@@ -6,32 +6,21 @@ Modules are reached by imports, by names of worker modules such as "addon.core.j
 
 import ast
 import re
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
 import pytest
 
 from lib import environment
+from source_files import parse_file
 
+pytestmark = pytest.mark.once
 ROOT = environment.ROOT
 SCRIPTS = ROOT / "scripts"
 WORKER_MODULE = re.compile(r"\baddon(?:\.\w+)+")
 START_SCRIPT = re.compile(r"\w+\.py")
 CALLED_BY_BLENDER = {"register", "unregister"}
 UNUSED_ON_PURPOSE = {"eevee_engine": "`compat` alone asks for Blender's version, for tests and benchmarks, too."}
-
-
-@cache
-def parse(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
-
-
-@pytest.fixture(scope="module", autouse=True)
-def free_trees() -> Iterator[None]:
-    """Forget half a million nodes at the end; they would slow the garbage collection of all later tests."""
-    yield
-    parse.cache_clear()
 
 
 @cache  # the same modules are imported a thousand times
@@ -47,7 +36,7 @@ def module_file(parts: tuple[str, ...]) -> Path | None:
 def named_files(path: Path) -> set[Path]:
     """The files of the checkout that `path` imports or names."""
     package, found = path.relative_to(ROOT).parts[:-1], set()
-    for node in ast.walk(parse(path)):
+    for node in ast.walk(parse_file(path)):
         names = []
         if isinstance(node, ast.ImportFrom):
             base = package[: len(package) - node.level + 1] if node.level else ()
@@ -96,7 +85,7 @@ def unused_definitions() -> list[str]:
     """The functions and classes of the extension that no code which runs uses, directly or by others that are used."""
     definitions, waiting = [], set(CALLED_BY_BLENDER | set(UNUSED_ON_PURPOSE))
     for path in [*(ROOT / "addon").rglob("*.py"), *SCRIPTS.rglob("*.py")]:
-        for node in parse(path).body:
+        for node in parse_file(path).body:
             if SCRIPTS not in path.parents and isinstance(node, ast.FunctionDef | ast.ClassDef):
                 definitions.append((f"{path.relative_to(ROOT).as_posix()}:{node.lineno}", node))
             else:
@@ -109,7 +98,7 @@ def unused_definitions() -> list[str]:
 
 
 def test_every_module_of_the_extension_is_reached():
-    modules = {path for path in (ROOT / "addon").rglob("*.py") if parse(path).body}
+    modules = {path for path in (ROOT / "addon").rglob("*.py") if parse_file(path).body}
     unreached = sorted(path.relative_to(ROOT).as_posix() for path in modules - reached_files())
     assert not unreached, "neither the extension nor a script needs\n" + "\n".join(unreached)
 
@@ -120,7 +109,7 @@ def test_every_function_and_class_of_the_extension_is_used():
 
 
 def test_no_exception_is_out_of_date():
-    defined = {node.name for path in (ROOT / "addon").rglob("*.py") for node in parse(path).body if hasattr(node, "name")}
+    defined = {node.name for path in (ROOT / "addon").rglob("*.py") for node in parse_file(path).body if hasattr(node, "name")}
     assert set(UNUSED_ON_PURPOSE) <= defined
 
 

@@ -3,10 +3,15 @@
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
-from lib import environment
+import pytest
 
+from lib import environment
+from source_files import parse_file
+
+pytestmark = pytest.mark.once
 ADDON = environment.ROOT / "addon"
 NETWORK = {
     "socket", "ssl", "http", "ftplib", "requests", "aiohttp", "httpx", "urllib", "urllib3", "webbrowser", "xmlrpc", "smtplib", "telnetlib",
@@ -15,9 +20,10 @@ CLUSTERS = {"dask", "distributed"}
 UNSAFE = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib"}
 
 
+@cache
 def walk_file(path: Path) -> list[ast.AST]:
     """All nodes of a Python file."""
-    return list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+    return list(ast.walk(parse_file(path)))
 
 
 def imported_modules(nodes: list[ast.AST]) -> Iterator[str]:

@@ -12,7 +12,7 @@ STEPS = dict(re.findall(r"```python\n# ([^\n]*)\n(.*?)```", PAGE, re.DOTALL))
 pytestmark = pytest.mark.filterwarnings("ignore:.*use_nodes:DeprecationWarning")  # which Blender 4.5 needs
 SMALL = {  # assignments of sizes -> values with which the page runs in seconds
     "branches": "24",
-    "subdivisions, pixels": "3, 64",
+    "subdivisions, pixels": "2, 64",
     "views, largest": "2, 64",
     "copies": "12",
     "width, samples": "32, 1",
@@ -28,7 +28,7 @@ def run(step: str, sizes: dict[str, str]) -> None:
 
 
 @pytest.fixture(scope="module")
-def renders(extension):
+def renders(extension, few_samples):
     """The scene after all steps. Returns the scenes that were rendered."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     finished = []

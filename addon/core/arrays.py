@@ -36,6 +36,18 @@ def find_last_positions(values: np.ndarray, count: int) -> np.ndarray:
     return positions
 
 
+def group_rows(rows: np.ndarray) -> np.ndarray:
+    """Return for each of `rows` (N, C) the number (N,) int64 of its group of equal rows, which are in lexicographic order from 0.
+
+    As the inverse of `numpy.unique` with `axis=0`, in a fraction of the time.
+    """
+    order = np.lexsort(rows.T[::-1])
+    ordered = rows[order]
+    groups = np.empty(len(rows), np.int64)
+    groups[order] = np.cumsum((ordered != np.roll(ordered, 1, axis=0)).any(axis=1) & (np.arange(len(rows)) > 0))
+    return groups
+
+
 def gather(values: np.ndarray, indices: np.ndarray) -> np.ndarray:
     """Return `values` (N,) at `indices` intp of any shape, in 70 % of the time of `values[indices]`.
 

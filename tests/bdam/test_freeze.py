@@ -87,8 +87,13 @@ def assert_independent(objects) -> None:
         assert not [node for material in materials for node in material.node_tree.nodes if getattr(node, "object", None) is not None]
 
 
-@pytest.mark.parametrize("joined", [False, True])
-@pytest.mark.parametrize("shading", ["texture", "slope", "height", "level"])
+@pytest.mark.parametrize(
+    ("shading", "joined"),
+    [
+        *(("texture", False), ("texture", True), ("slope", True), ("height", False)),
+        *(pytest.param(*values, marks=pytest.mark.exhaustive) for values in (("slope", False), ("height", True), ("level", False))),
+    ],
+)
 def test_frozen_objects_have_the_triangles_and_materials_of_the_terrain(folder, camera, joined, shading):
     terrain = load(folder, shading=shading, exaggeration=2.0)
     terrain.root.matrix_world = mathutils.Matrix.LocRotScale((5.0, 6.0, 7.0), mathutils.Euler((0.0, 0.0, 0.7)), (2.0, 2.0, 1.0))

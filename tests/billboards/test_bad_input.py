@@ -12,8 +12,7 @@ import pytest
 import billboards
 from farfield.addon.compat import enable_nodes
 from farfield.addon.core.errors import FarfieldError, FileError
-from lib import atomic_output, command_line, environment
-from script_runs import run_script
+from lib import atomic_output, command_line
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 SQUARE = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.0, 1.0, 0.0)]
@@ -251,22 +250,6 @@ class TestFiles:
         with pytest.raises(FileError, match="read-only"):
             main(cube_file, "--out", locked / "out.blend")
         assert list(locked.iterdir()) == []
-
-    def test_full_disk(self, cube_file):
-        """A limit on file sizes has the effect of a full disk, also in Blender's own writers."""
-        resource = pytest.importorskip("resource")
-        script, flags = environment.ROOT / "scripts" / "billboards.py", ["--no-textures", "--error", "2%", "--levels", "1"]
-        runs = [[cube_file, "--out", cube_file.with_name(f"out.{extension}"), *flags] for extension in ("blend", "glb")]
-        outcomes = run_script(
-            script,
-            *runs,
-            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (64, 64)),
-            env=os.environ | {"PYTHONDONTWRITEBYTECODE": "1"},
-        )
-        for outcome in outcomes:
-            assert outcome.returncode == 2, outcome.stderr
-            assert "Traceback" not in outcome.stderr and outcome.stderr.strip()
-        assert [path.name for path in cube_file.parent.iterdir()] == [cube_file.name]
 
     def test_no_space_left_keeps_the_old_file(self, tmp_path):
         old = tmp_path / "report.json"

@@ -64,8 +64,14 @@ def test_two_budgets_are_rejected():
 
 @pytest.mark.parametrize(
     ("mesh", "budget"),
-    [(bush(), 6), (bush(), 20), (shapes.soup(50), 20), (shapes.box(cuts=2), 6)],
-    ids=["tree", "large tree", "soup", "box"],
+    [
+        (bush(), 6),
+        pytest.param(bush(), 20, marks=EXHAUSTIVE),
+        (shapes.soup(20), 10),
+        pytest.param(shapes.soup(50), 20, marks=EXHAUSTIVE),
+        (shapes.box(cuts=2), 6),
+    ],
+    ids=["tree", "large tree", "soup", "large soup", "box"],
 )
 def test_any_number_of_quads_from_six_on_is_reached(mesh, budget):
     cloud = build_test_cloud(mesh, quads=budget, levels=1)
@@ -74,7 +80,7 @@ def test_any_number_of_quads_from_six_on_is_reached(mesh, budget):
     assert cloud.max_plane_distance <= 1.0 and cloud.uncovered_faces == 0
 
 
-@pytest.mark.parametrize("budget", [12, 70])
+@pytest.mark.parametrize("budget", [12, pytest.param(70, marks=EXHAUSTIVE)])
 def test_triangles_are_a_budget(budget):
     cloud = build_test_cloud(bush(), triangles=budget, levels=1)
     assert 0.9 * budget <= cloud.levels[0].triangle_count <= budget
@@ -94,7 +100,7 @@ def test_default_is_no_budget():
 
 
 def test_larger_budgets_give_more_quads_and_smaller_errors():
-    clouds = [(budget, build_test_cloud(shapes.bumpy_sphere(6), quads=budget, levels=1)) for budget in (12, 30)]
+    clouds = [(budget, build_test_cloud(shapes.bumpy_sphere(5), quads=budget, levels=1)) for budget in (8, 20)]
     for budget, cloud in clouds:
         assert 0.75 * budget <= len(cloud.levels[0].quads) <= budget
         assert cloud.max_plane_distance <= 1.0 and cloud.uncovered_faces == 0
@@ -103,7 +109,7 @@ def test_larger_budgets_give_more_quads_and_smaller_errors():
         assert fewer.levels[0].error > more.levels[0].error
 
 
-@pytest.mark.parametrize(("method", "mesh", "budget"), [("hough", shapes.bumpy_sphere(7), 30), ("decimate", shapes.box(cuts=2), 6)])
+@pytest.mark.parametrize(("method", "mesh", "budget"), [("hough", shapes.bumpy_sphere(6), 30), ("decimate", shapes.box(cuts=2), 6)])
 def test_every_method_keeps_the_budget(method, mesh, budget):
     cloud = build_test_cloud(mesh, quads=budget, levels=1, method=method)
     assert 0.75 * budget <= len(cloud.levels[0].quads) <= budget
@@ -119,7 +125,7 @@ def test_texture_of_all_levels_meets_the_budget(mesh, budget):
 
 @pytest.mark.parametrize("fraction", [0.65, pytest.param(0.45, marks=EXHAUSTIVE)])
 def test_leaves_and_trunk_keep_their_fractions(fraction):
-    mesh, budget = tree(leaves=30, cuts=4), 40
+    mesh, budget = tree(leaves=26, sides=12, cuts=3), 34
     cloud = build_test_cloud(mesh, quads=budget, loose_fraction=fraction, levels=1)
     loose, connected = count_quads(mesh, cloud.levels[0])
     assert 0.85 * budget <= loose + connected == len(cloud.levels[0].quads) <= budget
@@ -234,7 +240,7 @@ def test_proximity_graph_is_built_once_per_group(monkeypatch):
 @pytest.mark.parametrize(
     ("method", "mesh", "error"),
     [
-        ("clusters", shapes.bumpy_sphere(6), 0.04),
+        ("clusters", shapes.bumpy_sphere(4), 0.04),
         ("hough", shapes.bumpy_sphere(6), 0.02),
         pytest.param("decimate", shapes.box(cuts=2), 0.05, marks=EXHAUSTIVE),
     ],

@@ -65,7 +65,7 @@ class TestBounds:
         assert set(drawn) == set(range(len(mesh.triangles)))
         assert cloud.uncovered_faces == 0
 
-    @pytest.mark.parametrize("degrees", [20.0, 60.0])
+    @pytest.mark.parametrize("degrees", [20.0, pytest.param(60.0, marks=pytest.mark.exhaustive)])
     @pytest.mark.parametrize("mesh", [sphere(6), bumpy_sphere(7), soup(40), leaf_cards(40)], ids=["sphere", "bumpy", "soup", "cards"])
     def test_clusters_keep_the_normal_bound_on_every_quad(self, mesh, degrees):
         cloud = build_test_cloud(mesh, max_normal_deviation=np.radians(degrees), normal_scale=0.0, levels=2)
@@ -111,7 +111,7 @@ class TestBounds:
 
     def test_levels_side_by_side_equal_levels_one_after_the_other(self, monkeypatch):
         """And those of builds of their own, so that no level depends on what another thread does."""
-        mesh, settings = bumpy_sphere(8), {"error": 0.03, "levels": 3}
+        mesh, settings = bumpy_sphere(6), {"error": 0.03, "levels": 3}
         together = [level_bytes(level) for level in build_test_cloud(mesh, **settings).levels]
         monkeypatch.setattr(parallel_steps, "MAX_THREADS", 1)
         monkeypatch.setattr("os.cpu_count", lambda: 1)
@@ -164,7 +164,7 @@ class TestKnownShapes:
         np.testing.assert_allclose(level.quads.frames[:, 2], [UP], atol=1e-9)
         assert level.texel_count == pytest.approx(100**2, rel=0.05)
 
-    @pytest.mark.parametrize("error", [0.02, 0.05])
+    @pytest.mark.parametrize("error", [pytest.param(0.02, marks=pytest.mark.exhaustive), 0.05])
     def test_texel_count_is_area_over_texel_area_and_waste(self, error):
         mesh = sphere(12)
         (level,) = build_test_cloud(mesh, error=error).levels

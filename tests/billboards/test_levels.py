@@ -14,6 +14,7 @@ from farfield.addon.core.geometry.mesh import TriangleMesh, concatenate
 from farfield.addon.core.jobs.progress import Progress, run_to_end
 from shapes import box, bumpy_sphere, cylinder, leaf_cards, sheet, sphere
 
+EXHAUSTIVE = pytest.mark.exhaustive
 MESHES = {
     "bumpy": bumpy_sphere(6),
     "leaves": leaf_cards(80, size=0.05),
@@ -21,7 +22,7 @@ MESHES = {
 }
 
 
-@pytest.fixture(scope="module", params=MESHES)
+@pytest.fixture(scope="module", params=[pytest.param("bumpy", marks=EXHAUSTIVE), pytest.param("leaves", marks=EXHAUSTIVE), "tree"])
 def nested(request) -> tuple[TriangleMesh, Cloud]:
     """Return a mesh and its cloud of four nested levels."""
     mesh = MESHES[request.param]
@@ -81,7 +82,7 @@ def test_every_level_is_the_cloud_of_its_error():
         assert level.quads.owner.tobytes() == alone.quads.owner.tobytes()
 
 
-@pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
+@pytest.mark.parametrize("mesh", [MESHES["bumpy"], pytest.param(MESHES["leaves"], marks=EXHAUSTIVE), MESHES["tree"]], ids=MESHES)
 def test_every_level_has_clearly_fewer_triangles_or_is_left_out_with_a_sentence(mesh):
     cloud = build(mesh, error=0.01, levels=5)
     for finer, coarser in pairwise(cloud.levels):

@@ -214,7 +214,9 @@ def test_obj_output_has_the_same_quads(cube):
     assert materials.read_text(encoding="utf-8") == "# of the user\n"
 
 
-@pytest.mark.parametrize("name", ["cloud.glb", "...glb"])  # Blender's exporter finds no extension in the second
+@pytest.mark.parametrize(
+    "name", [pytest.param("cloud.glb", marks=pytest.mark.exhaustive), "...glb"]
+)  # Blender's exporter finds no extension in the second
 def test_glb_output_has_textures_and_properties(cube, name):
     out = cube.with_name(name)
     main(cube, "--out", out, "--error", "10%", "--levels", "2", "--nested-levels", "--samples", "1")

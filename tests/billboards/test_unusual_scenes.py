@@ -122,21 +122,22 @@ class TestRemovedParts:
         for operator in (bpy.ops.farfield.billboards_crossfade, bpy.ops.farfield.billboards_show_level):
             assert operator() == {"FINISHED"}
 
-    @pytest.mark.parametrize("name", ["farfield_level", "farfield_error", "farfield_quads", "farfield_texels"])
     @pytest.mark.parametrize("value", [None, "a", float("nan")])
-    def test_a_level_without_its_numbers_is_not_a_level(self, name, value):
+    def test_a_level_without_its_numbers_is_not_a_level(self, value):
         cube()
         build()
         fine, coarse = levels().values()
-        if value is None:
-            del fine[name]
-        else:
-            fine[name] = value
-        assert find_cloud(bpy.context.scene, coarse).levels == [coarse]
-        assert find_cloud(bpy.context.scene, fine) is None
-        select(fine)
-        assert not bpy.ops.farfield.billboards_build.poll() and not bpy.ops.farfield.billboards_show.poll()
-        assert not panels.FARFIELD_PT_billboards_levels.poll(bpy.context)
+        for name in ("farfield_level", "farfield_error", "farfield_quads", "farfield_texels"):
+            value_before = fine.pop(name)
+            if value is not None:
+                fine[name] = value
+            assert find_cloud(bpy.context.scene, coarse).levels == [coarse], name
+            assert find_cloud(bpy.context.scene, fine) is None, name
+            select(fine)
+            assert not bpy.ops.farfield.billboards_build.poll() and not bpy.ops.farfield.billboards_show.poll(), name
+            assert not panels.FARFIELD_PT_billboards_levels.poll(bpy.context), name
+            fine[name] = value_before
+            assert find_cloud(bpy.context.scene, fine).levels == [fine, coarse]
 
     def test_an_empty_called_a_cloud(self):
         empty = bpy.data.objects.new("Empty", None)
@@ -146,19 +147,27 @@ class TestRemovedParts:
         assert not bpy.ops.farfield.billboards_build.poll() and not bpy.ops.farfield.billboards_show.poll()
 
 
+@pytest.fixture(scope="module")
+def library(extension, tmp_path_factory):
+    """A file with a cloud."""
+    blender_scenes.reset_scene()
+    cube()
+    build(textures=True, samples=1, error=10.0)
+    path = tmp_path_factory.mktemp("linked") / "library.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    return path
+
+
 class TestLinkedCloud:
     """The cloud comes from a library: what is changed is not saved with the file."""
 
     @pytest.fixture
-    def linked(self, tmp_path):
+    def linked(self, library):
         """The linked collection of the cloud in a scene with a camera."""
-        cube()
-        build(textures=True, samples=1, error=10.0)
-        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
         scene = blender_scenes.reset_scene()
         scene.camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
         scene.collection.objects.link(scene.camera)
-        with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, target):
+        with bpy.data.libraries.load(str(library), link=True) as (_, target):
             target.collections = ["Cube Cloud"]
         scene.collection.children.link(target.collections[0])
         return target.collections[0]

@@ -61,7 +61,9 @@ def cloud(baked_file) -> SceneCloud:
     return open_cloud(baked_file)
 
 
-@pytest.mark.parametrize("kind", LIGHT_KINDS)
+@pytest.mark.parametrize(
+    "kind", ["sun", "area", *(pytest.param(kind, marks=pytest.mark.exhaustive) for kind in LIGHT_KINDS if kind not in ("sun", "area"))]
+)
 def test_every_light_reaches_the_cloud_and_it_is_nearer_to_the_source_than_its_pbr_maps(cloud, kind):
     plain = Candidate("PBR", [copy_with_pbr_material(cloud.levels[0])])
     directions = np.array([[[0.3, -0.9, 0.2], [-0.8, 0.3, 0.5]], [[0.7, -0.5, 0.5], [-0.2, -0.6, 0.7]]])

@@ -16,6 +16,8 @@ from farfield.addon.operators.engine_cache import cache
 from farfield.addon.operators.view_following import current
 from scene_terrain import SMALL, camera_at, create, geometry_bytes
 
+EXHAUSTIVE = pytest.mark.exhaustive
+
 pytestmark = pytest.mark.usefixtures("empty_scene")
 MAX_SECONDS = 20.0
 
@@ -170,21 +172,21 @@ def with_setting(name, value):
     [
         (SETTINGS, with_setting("voxel_size", "a"), "Voxel Size must be a number"),
         (SETTINGS, with_setting("resolution", 64.5), "Resolution must be an integer, not 64.5"),
-        (SETTINGS, with_setting("boxes", True), "Boxes must be an integer, not True"),
+        pytest.param(SETTINGS, with_setting("boxes", True), "Boxes must be an integer, not True", marks=EXHAUSTIVE),
         (SETTINGS, with_setting("formula", 5), "Formula must be text, not 5"),
-        (SETTINGS, with_setting("terrain", ["sine"]), "Terrain must be text"),
-        (SETTINGS, with_setting("source_color", None), "Source Color must be text, not None"),
+        pytest.param(SETTINGS, with_setting("terrain", ["sine"]), "Terrain must be text", marks=EXHAUSTIVE),
+        pytest.param(SETTINGS, with_setting("source_color", None), "Source Color must be text, not None", marks=EXHAUSTIVE),
         (SETTINGS, with_setting("seed", 10**4000), "Seed|cannot be read"),
         (SETTINGS, with_setting("scale", float("nan")), "Scale must be a finite number"),
-        (SETTINGS, with_setting("new_setting", 1), "cannot be read"),
+        pytest.param(SETTINGS, with_setting("new_setting", 1), "cannot be read", marks=EXHAUSTIVE),
         (SETTINGS, "[" * 10000, "cannot be read"),
-        (SETTINGS, "[1]", "cannot be read"),
-        (SETTINGS, "no JSON", "cannot be read"),
+        pytest.param(SETTINGS, "[1]", "cannot be read", marks=EXHAUSTIVE),
+        pytest.param(SETTINGS, "no JSON", "cannot be read", marks=EXHAUSTIVE),
         (SETTINGS, 7, "cannot be read"),
-        (SETTINGS, {"voxel_size": 1.0}, "cannot be read"),
+        pytest.param(SETTINGS, {"voxel_size": 1.0}, "cannot be read", marks=EXHAUSTIVE),
         (ORIGIN, None, f'custom property "{ORIGIN}" .* is invalid'),
-        (ORIGIN, "here", f'custom property "{ORIGIN}" .* is invalid'),
-        (VIEWER, [1.0, 2.0], f'custom property "{VIEWER}" .* is invalid'),
+        pytest.param(ORIGIN, "here", f'custom property "{ORIGIN}" .* is invalid', marks=EXHAUSTIVE),
+        pytest.param(VIEWER, [1.0, 2.0], f'custom property "{VIEWER}" .* is invalid', marks=EXHAUSTIVE),
         (VIEWER, [1.0, 2.0, float("inf")], f'custom property "{VIEWER}" .* is invalid'),
     ],
     ids=range(18),

@@ -23,7 +23,7 @@ VARIANTS = [
     pytest.param({"terrain": "spheres"}, marks=pytest.mark.exhaustive),
     {"terrain": "islands", "surface": "blocky"},
     {"terrain": "sine", "surface": "blocky", "smoothing": 3, "threshold": 3},
-    {"terrain": "cascades", "smoothing": 2},
+    pytest.param({"terrain": "cascades", "smoothing": 2}, marks=pytest.mark.exhaustive),
     {"terrain": "cascades", "subdivided_boxes": 1, "threshold": 4},
     pytest.param({"terrain": "spheres", "subdivided_boxes": 2, "surface": "blocky", "smoothing": 1}, marks=pytest.mark.exhaustive),
 ]

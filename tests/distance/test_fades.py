@@ -44,9 +44,16 @@ def render_center(scene: bpy.types.Scene) -> np.ndarray:
     return pixels.mean(axis=(0, 1))
 
 
-@pytest.mark.parametrize("scales", [(1.0, 1.0, 1.0), (1.0, 4.0, 0.5)])
-@pytest.mark.parametrize("fraction", [0.25, 0.75])
-@pytest.mark.parametrize("size", [1.0, 3.0])
+@pytest.mark.parametrize(
+    ("scales", "fraction", "size"),
+    [
+        ((1.0, 1.0, 1.0), 0.25, 1.0),
+        ((1.0, 4.0, 0.5), 0.75, 3.0),
+        pytest.param((1.0, 4.0, 0.5), 0.25, 3.0, marks=pytest.mark.exhaustive),
+        pytest.param((1.0, 4.0, 0.5), 0.75, 1.0, marks=pytest.mark.exhaustive),
+        pytest.param((1.0, 1.0, 1.0), 0.75, 3.0, marks=pytest.mark.exhaustive),
+    ],
+)
 def test_levels_of_an_instance_have_the_expected_fractions(scene, scales, fraction, size):
     distance = 20.0 * (1.0 + fraction * FADE_RANGE) + 0.25  # Of the center of a box; its front is 0.25 nearer.
     scatter = add_scatter([(0.0, size * distance, 0.0)], [add_box("Box", linked=False)])

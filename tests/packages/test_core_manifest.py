@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from farfield.addon.core.errors import FileError
@@ -195,6 +195,7 @@ def test_damaged_json_is_refused_or_still_a_manifest(data):
         assert isinstance(decode_manifest(bytes(content)), Manifest)
 
 
+@settings(max_examples=40)
 @given(st.recursive(st.none() | st.booleans() | st.floats() | st.text(), lambda item: st.lists(item) | st.dictionaries(st.text(), item)))
 def test_other_json_is_refused(value):
     for content in (value, {"format": "farfield-package", "version": 4, "levels": value}):

@@ -17,7 +17,7 @@ from glb_reader import read_glb
 from lib import command_line, scene_files
 from textured_scenes import textured_ball
 
-pytestmark = pytest.mark.usefixtures("empty_scene", "small_images")
+pytestmark = pytest.mark.usefixtures("empty_scene", "small_images", "few_samples")
 SMALL = {"levels": "number", "number": 3, "views": 2, "max_image": 64, "pixels": 96, "tile_size": 32}
 FLAGS = ("--number", "3", "--views", "2", "--max-image", "64", "--pixels", "96", "--tile-size", "32")
 

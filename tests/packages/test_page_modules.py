@@ -20,6 +20,7 @@ from farfield.addon.core.packages.increments import Increments, encode_increment
 from farfield.addon.core.packages.manifest import encode_manifest
 from farfield.addon.core.packages.tile_pyramid import TilePyramid
 
+pytestmark = pytest.mark.once
 MAX_BYTES = 28_000  # Size of all files, each compressed.
 needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed, so modules of the page are not run")
 

@@ -148,8 +148,16 @@ def test_bright_opaque_pixels_of_a_mask_count(folder, name):
     assert_restored(folder / "image.png", folder / "out.png")
 
 
-@pytest.mark.parametrize("orientation", range(2, 9))
-@pytest.mark.parametrize("extension", [".jpg", ".png", ".tif"])
+@pytest.mark.parametrize(
+    ("extension", "orientation"),
+    [(".jpg", orientation) for orientation in range(2, 9)]
+    + [(".png", 6), (".tif", 8)]
+    + [
+        pytest.param(extension, orientation, marks=pytest.mark.exhaustive)
+        for extension in (".png", ".tif")
+        for orientation in (2, 3, 4, 5, 7)
+    ],
+)
 def test_a_mask_of_the_upright_photograph_is_turned_as_the_photograph_is_stored(folder, calls, orientation, extension):
     stored, mask = texture()[:30], np.zeros((30, SIZE, 1), np.uint8)
     mask[HOLE] = 255

@@ -1,4 +1,4 @@
-"""Every script of the checkout starts and prints its help."""
+"""Every script of the checkout starts, prints its help, and refuses flags that it does not have in one sentence."""
 
 import subprocess
 import sys
@@ -18,19 +18,27 @@ import contextlib, io, runpy, sys
 from pathlib import Path
 import bpy
 
-root, scripts, search_path, modules, failed = sys.argv[1], sys.argv[2:], list(sys.path), set(sys.modules), False
-for script in scripts:
-    sys.argv, sys.path = [script, "--help"], [str(Path(script).parent), *search_path]
-    output, code = io.StringIO(), None
+def run(script, flag):
+    sys.argv, sys.path = [script, flag], [str(Path(script).parent), *search_path]
+    output, errors = io.StringIO(), io.StringIO()
     try:
-        with contextlib.redirect_stdout(output):
+        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
             runpy.run_path(script, run_name="__main__")
     except SystemExit as exit:
-        code = exit.code
+        return exit.code, output.getvalue(), errors.getvalue()
     except Exception as error:
-        code = repr(error)
-    if code != 0 or f"usage: {Path(script).name}" not in output.getvalue():
-        print(script, "exits with", code, output.getvalue()[:200], file=sys.stderr)
+        return repr(error), "", ""
+    return None, "", ""
+
+root, scripts, search_path, modules, failed = sys.argv[1], sys.argv[2:], list(sys.path), set(sys.modules), False
+for script in scripts:
+    code, output, _ = run(script, "--help")
+    if code != 0 or f"usage: {Path(script).name}" not in output:
+        print(script, "exits with", code, output[:200], file=sys.stderr)
+        failed = True
+    code, output, errors = run(script, "--magic")
+    if Path(script).parent.name == "scripts" and (code != 2 or output or len(errors.splitlines()) != 1):
+        print(script, "--magic exits with", code, output[:200], errors[:200], file=sys.stderr)
         failed = True
     for name, module in list(sys.modules.items()):
         is_of_checkout = (getattr(module, "__file__", None) or "").startswith(root) and "site-packages" not in module.__file__
@@ -40,7 +48,7 @@ sys.exit(failed)
 """
 
 
-def test_all_scripts_start_and_print_their_help():
+def test_all_scripts_start_print_their_help_and_refuse_unknown_flags():
     assert len(SCRIPTS) > 10
     command = [sys.executable, "-c", CHILD, str(environment.ROOT), *map(str, SCRIPTS)]
     outcome = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -80,14 +80,14 @@ def test_sprigs_have_leaves_and_transparent_pixels():
 def test_growing_twice_gives_the_same_objects(monkeypatch):
     monkeypatch.setattr(demo_materials, "paint_sprig_atlas", cache(demo_materials.paint_sprig_atlas))
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    trees = [demo_tree.grow_tree(seed, leaves) for seed, leaves in ((1, 200), (1, 200), (2, 200), (1, 50))]
+    trees = [demo_tree.grow_tree(seed, leaves) for seed, leaves in ((1, 60), (1, 60), (2, 60), (1, 20))]
     arrays = [[positions(item) for item in tree] for tree in trees]
     assert [item.data.materials[0].node_tree is not None for item in trees[0]] == [True, True]
     for first, second in zip(arrays[0], arrays[1], strict=True):
         assert (first == second).all()
     assert not np.array_equal(arrays[0][0], arrays[2][0])
     assert np.array_equal(arrays[0][0], arrays[3][0])  # branches do not depend on the number of leaves
-    assert len(trees[3][1].data.polygons) == 50
+    assert len(trees[3][1].data.polygons) == 20
 
 
 def positions(item) -> np.ndarray:

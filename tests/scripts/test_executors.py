@@ -21,6 +21,7 @@ from farfield.addon.core.jobs.subprocess_pool import wait_for_exit
 from lib import executors
 from lib.executors import open_executor
 
+pytestmark = pytest.mark.once
 MODULE = "tests.jobs.sample_tasks"
 
 

@@ -20,7 +20,7 @@ UTM = np.array([500_000.0, 120.0, 4_500_000.0])  # y upwards, as Blender expects
     [
         (texmesh, ("levels", "--ratios", "0.5", "--vertices", "original", "--views", "1", "--max-image", "32")),
         (unwrap, ()),
-        (billboards, ("--levels", "1", "--samples", "1")),
+        (billboards, ("--levels", "1", "--no-textures")),
     ],
 )
 def test_far_files_are_moved_to_the_origin(tmp_path, script, flags):

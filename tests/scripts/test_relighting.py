@@ -8,11 +8,10 @@ bpy = pytest.importorskip("bpy")
 
 import reference_tools  # noqa: E402 - only if bpy is available
 from bridge import blender_scenes  # noqa: E402
-from bridge.bakes import build_cloud, prepare_job  # noqa: E402
+from bridge.bakes import bake_finished_views, build_small_cloud, finished_views_of_small_cloud  # noqa: E402
 from farfield.addon.bridge.btf.levels.emission_levels import link_suns  # noqa: E402
 from farfield.addon.bridge.btf.materials.emission_material import sun_color_property  # noqa: E402
 from farfield.addon.core.jobs.progress import run_to_end  # noqa: E402
-from farfield.addon.operators.job_run import run_job  # noqa: E402
 from lib.flip_metric import mean_flip  # noqa: E402
 from lib.relighting import Candidate, compare_relighting, copy_with_pbr_material, crop_and_encode, held_out_pairs, score_renders  # noqa: E402
 
@@ -20,9 +19,9 @@ from lib.relighting import Candidate, compare_relighting, copy_with_pbr_material
 @pytest.fixture(scope="module")
 def relit(extension, tmp_path_factory):
     """A file with a ball and the finest level of its cloud, which is relightable and linked to no light."""
-    blender_scenes.reset_scene()
-    cloud = build_cloud(blender_scenes.ball(material=blender_scenes.create_material("Red", (0.8, 0.2, 0.1), 1.0)))
-    run_to_end(run_job(prepare_job(cloud, None)))
+    finished_views_of_small_cloud()
+    cloud = build_small_cloud()
+    bake_finished_views(cloud)
     path = tmp_path_factory.mktemp("relit") / "ball.blend"
     names = cloud.sources[0].name, cloud.levels[0].name
     bpy.ops.wm.save_as_mainfile(filepath=str(path), check_existing=False)

@@ -8,7 +8,7 @@ from farfield.addon.bridge.texmesh.level_sets import level_sets_in
 from glb_reader import read_glb
 from textured_scenes import textured_ball
 
-pytestmark = pytest.mark.usefixtures("empty_scene")
+pytestmark = pytest.mark.usefixtures("empty_scene", "few_samples")
 SMALL = {"levels": "ratios", "ratios": "0.5,0.2", "views": 1, "max_image": 32, "vertices": "original", "billboard_cloud": True}
 
 
@@ -25,7 +25,7 @@ def count_data() -> list[int]:
 
 
 def test_the_last_level_is_a_billboard_cloud(tmp_path, capsys):
-    ball = textured_ball(8, "Ball")
+    ball = textured_ball(6, "Ball")
     ball.location, ball.scale, ball.rotation_euler = (5.0, 0.0, 1.0), (2.0, 2.0, 2.0), (0.5, 0.0, 0.0)
     before = count_data()
     *_, coarsest, cloud = make(cloud_quads=6)
@@ -52,6 +52,6 @@ def test_deformed_objects_have_no_billboard_cloud(capsys):
 
 
 def test_a_cloud_of_too_few_quads_is_left_out(capsys):
-    textured_ball(6, "Ball")
+    textured_ball(5, "Ball")
     assert len(make(cloud_quads=2)) == 3
     assert 'Skipped: the billboard cloud ("Ball" needs at least' in capsys.readouterr().out

@@ -106,6 +106,7 @@ def test_no_point_of_a_level_is_farther_than_its_distance(fine, level, refitted)
         assert largest <= comparison.bound_distance(mesh) <= 1.25 * largest
 
 
+@pytest.mark.usefixtures("few_samples")
 @pytest.mark.parametrize("is_spiked", [False, True])
 def test_levels_that_the_refit_made_worse_are_those_of_the_simplification(monkeypatch, is_spiked):
     def refit_starts(*arguments):
@@ -132,6 +133,7 @@ def test_levels_whose_refit_stays_at_its_start_have_all_triangles(monkeypatch, f
     assert len(start.start.triangles) < len(level.triangles) == len(start.full.triangles)
 
 
+@pytest.mark.usefixtures("few_samples")
 @pytest.mark.parametrize(("order", "count"), [("visibility", 1), ("scale", 2)])
 def test_optimized_levels_of_large_meshes_are_simplified_once(monkeypatch, order, count):
     engines = []
@@ -139,7 +141,7 @@ def test_optimized_levels_of_large_meshes_are_simplified_once(monkeypatch, order
     make_engine = levels.CollapseEngine
     monkeypatch.setattr(levels, "CollapseEngine", lambda *values, **named: engines.append(make_engine(*values, **named)) or engines[-1])
     settings = TexmeshSettings(levels="ratios", ratios="0.4", views=2, max_image=32, removal_order=order)
-    mesh = textured_sphere(12)
+    mesh = textured_sphere(8)
     chain = run_to_end(level_chain.make_levels(mesh, [checkered(16)], settings))
     assert len(engines) == count
     assert len(chain.levels) == 2 and len(chain.levels[1].mesh.triangles) <= round(0.4 * len(mesh.triangles))

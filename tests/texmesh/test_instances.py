@@ -14,7 +14,7 @@ from farfield.addon.operators.texmesh import job
 from glb_reader import read_glb
 from textured_scenes import textured_ball
 
-pytestmark = pytest.mark.usefixtures("empty_scene")
+pytestmark = pytest.mark.usefixtures("empty_scene", "few_samples")
 SMALL = {"levels": "ratios", "ratios": "0.5,0.2", "views": 1, "max_image": 32, "vertices": "original"}
 
 

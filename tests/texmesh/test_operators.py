@@ -17,14 +17,14 @@ from farfield.addon.operators.texmesh import preview
 from farfield.addon.operators.texmesh.job import prepare_levels
 from textured_scenes import textured_ball
 
-pytestmark = pytest.mark.usefixtures("empty_scene")
+pytestmark = pytest.mark.usefixtures("empty_scene", "few_samples")
 SMALL = {"levels": "ratios", "ratios": "0.5,0.2", "views": 1, "max_image": 32, "vertices": "original"}
 
 
 @pytest.fixture
 def ball() -> bpy.types.Object:
     """A smooth sphere with a UV map and a checkered image."""
-    return textured_ball(8, "Ball")
+    return textured_ball(6, "Ball")
 
 
 def make(**values) -> list[bpy.types.Object]:
@@ -35,12 +35,12 @@ def make(**values) -> list[bpy.types.Object]:
 
 @pytest.mark.parametrize("vertices", ["original", "optimized"])
 def test_levels_have_fewer_triangles_and_larger_errors(vertices):
-    ball = textured_ball(8)
+    ball = textured_ball(6)
     ball.location, ball.scale = (3.0, -2.0, 1.0), (2.0, 2.0, 2.0)
     bpy.context.view_layer.update()
     levels = make(levels="number", number=3, vertices=vertices)
     counts, errors = [len(level.data.polygons) for level in levels], [level[ERROR] for level in levels]
-    assert len(levels) == 3 and counts == sorted(counts, reverse=True) and counts[0] == 224
+    assert len(levels) == 3 and counts == sorted(counts, reverse=True) and counts[0] == 120
     assert errors[0] == 0.0 and errors == sorted(errors) and errors[1] > 0.0
     assert all(level.matrix_world == ball.matrix_world and not level.data.validate() for level in levels)
     assert all(level.data.uv_layers.active.name == ball.data.uv_layers.active.name for level in levels)
@@ -140,7 +140,7 @@ def test_the_progress_names_the_object_and_never_decreases(ball):
     run_to_end(prepare_levels(bpy.context, [ball], settings, SceneSettings()).core_steps(), steps.append)
     assert not any("Ball" in step.label for step in steps)
     steps.clear()
-    other = textured_ball(10, "Other")
+    other = textured_ball(9, "Other")
     run_to_end(prepare_levels(bpy.context, [ball, other], settings, SceneSettings()).core_steps(), steps.append)
     fractions = [step.fraction for step in steps]
     assert fractions == sorted(fractions) and fractions[0] == 0.0 and fractions[-1] > 0.9

@@ -22,7 +22,7 @@ from farfield.addon.core.geometry.cameras import Camera, distance_to_box
 from farfield.addon.operators.texmesh import preview
 from textured_scenes import textured_ball
 
-pytestmark = pytest.mark.usefixtures("empty_scene")
+pytestmark = pytest.mark.usefixtures("empty_scene", "few_samples")
 ERRORS = (0.0, 0.01, 0.04)
 
 

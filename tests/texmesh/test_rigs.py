@@ -9,7 +9,7 @@ from farfield.addon.bridge.texmesh.level_sets import level_sets_in
 from farfield.addon.core.geometry.distance import TriangleTree
 from textured_scenes import checker_image, textured_ball, textured_material
 
-pytestmark = pytest.mark.usefixtures("empty_scene")
+pytestmark = pytest.mark.usefixtures("empty_scene", "few_samples")
 RADIUS, HEIGHT = 0.4, 4.0
 SMALL = {"levels": "ratios", "ratios": "0.3,0.1", "views": 1, "max_image": 32, "vertices": "original"}
 

@@ -1,8 +1,6 @@
 """`scripts/texmesh.py`: outputs, reports, unusual meshes, and the exit codes."""
 
 import json
-import subprocess
-import sys
 
 import bpy
 import numpy as np
@@ -18,7 +16,7 @@ from glb_scenes import random_image
 from lib import command_line, environment
 from textured_scenes import checker_image, count_triangles, textured_ball, textured_material
 
-pytestmark = pytest.mark.usefixtures("empty_scene")
+pytestmark = pytest.mark.usefixtures("empty_scene", "few_samples")
 SCRIPT = environment.ROOT / "scripts" / "texmesh.py"
 FAST = ("--views", "1", "--max-image", "32", "--vertices", "original")
 
@@ -266,7 +264,7 @@ def add_lattice(item):
 def test_unusual_meshes_have_levels_and_a_sentence(folder, change, sentence):
     change(textured_ball(8))
     path = save(folder)
-    summary, report = make(path, "--ratios", "0.5", out="out.glb")
+    summary, report = make(path, "--ratios", "0.5", "--vertices", "original", out="out.glb")
     assert sentence in summary
     fine, coarse = report["objects"][0]["levels"]
     assert coarse["constraint"] or coarse["triangles"] == pytest.approx(0.5 * fine["triangles"], rel=0.02)
@@ -331,12 +329,6 @@ def test_a_file_of_small_objects_stays_as_it_is(folder):
     bpy.ops.mesh.primitive_plane_add()
     (figures,) = make(save(folder))[1]["objects"]
     assert [level["triangles"] for level in figures["levels"]] == [2]
-
-
-def test_the_exit_code_of_invalid_input(tmp_path):
-    command = [sys.executable, str(SCRIPT), "levels", str(tmp_path / "none.obj"), "--out", str(tmp_path / "o.glb")]
-    result = subprocess.run(command, capture_output=True)
-    assert result.returncode == 2 and b"none.obj" in result.stderr and len(result.stderr.splitlines()) == 1
 
 
 def test_levels_are_exported_by_the_operator(ball):

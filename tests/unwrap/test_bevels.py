@@ -95,7 +95,7 @@ def test_bodies_without_bevels_are_not_divided(mesh):
 @pytest.mark.parametrize(("height", "is_rough"), [(1e-4, False), (0.02, True)])
 def test_a_fine_rough_surface_is_not_divided(height, is_rough):
     """It has more facets than the square root of the largest 32-bit integer, with `is_rough` all of them sharply curved."""
-    mesh = sheet(320)
+    mesh = sheet(155)
     heights = height * np.random.default_rng(5).uniform(-1.0, 1.0, len(mesh.vertices))
     if not is_rough:
         heights[np.abs(mesh.vertices[:, 0]) < 0.5 * np.abs(mesh.vertices[:, 0]).max()] *= 40.0

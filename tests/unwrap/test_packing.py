@@ -61,7 +61,7 @@ def test_seams_do_not_depend_on_the_unit_of_length(unit):
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 @pytest.mark.parametrize("islands", ["one", "atlas"])
-@pytest.mark.parametrize("length", [1e4, 1e10])
+@pytest.mark.parametrize("length", [pytest.param(1e4, marks=pytest.mark.exhaustive), 1e10])
 def test_a_surface_with_a_far_vertex_is_unwrapped(islands, length):
     mesh = box(cuts=2)
     vertices = mesh.vertices.copy()
@@ -85,7 +85,16 @@ def pack_random_rectangles(texture, count=40, seed=3):
     return packing, sides, corners.min(axis=1), corners.max(axis=1)
 
 
-@pytest.mark.parametrize(("size", "margin"), [((2048, 2048), 8), ((1024, 1024), 3), ((4096, 1024), 8), ((512, 1024), 20), ((256, 256), 0)])
+@pytest.mark.parametrize(
+    ("size", "margin"),
+    [
+        pytest.param((2048, 2048), 8, marks=pytest.mark.exhaustive),
+        ((1024, 1024), 3),
+        pytest.param((4096, 1024), 8, marks=pytest.mark.exhaustive),
+        ((512, 1024), 20),
+        ((256, 256), 0),
+    ],
+)
 def test_margins_are_kept_in_pixels_and_proportions_on_any_texture(size, margin):
     packing, sides, low, high = pack_random_rectangles(Texture(size=size, margin=margin))
     assert packing.tile_count == 1
@@ -143,7 +152,10 @@ def test_islands_of_vertical_faces_are_turned_upright():
     assert (free_ups[:, 1] < 0.9).any() and free.metrics.overlaps == upright.metrics.overlaps == 0
 
 
-@pytest.mark.parametrize("sides", [((1.0, 0.3, 2.0), (0.5, 0.6, 1.0)), ((6.0, 5.0, 0.5), (0.5, 0.5, 12.0))])
+@pytest.mark.parametrize(
+    "sides",
+    [((1.0, 0.3, 2.0), (0.5, 0.6, 1.0)), pytest.param(((6.0, 5.0, 0.5), (0.5, 0.5, 12.0)), marks=pytest.mark.exhaustive)],
+)
 def test_islands_are_upright_by_default_where_that_costs_little(sides):
     automatic, upright, free = (unwrap_boxes(orientation, sides)[0] for orientation in ("auto", "upright", "fill"))
     assert automatic.metrics.fill >= 0.98 * free.metrics.fill

@@ -125,10 +125,11 @@ def _sample(corners: np.ndarray, normals: np.ndarray, areas: np.ndarray, side: f
     generator = np.random.default_rng(0)
     seeds, distant = _draw_by_area(areas, SEED_COUNT, generator), _draw_by_area(areas, DISTANT_COUNT, generator)
     near_count = min(NEAREST_COUNT, len(areas))
+    distant = distant if near_count < len(areas) else distant[:0]
     distances, nearest = cKDTree(centers).query(centers[seeds], k=np.arange(1, near_count + 1))
-    members = np.concatenate([nearest, np.broadcast_to(distant, (SEED_COUNT, DISTANT_COUNT))], axis=1)
+    members = np.concatenate([nearest, np.broadcast_to(distant, (SEED_COUNT, len(distant)))], axis=1)
     offsets = centers[members] - centers[seeds][:, None]
-    member_areas = np.concatenate([areas[nearest], np.full((SEED_COUNT, DISTANT_COUNT), areas.sum() / DISTANT_COUNT)], axis=1)
+    member_areas = np.concatenate([areas[nearest], np.full((SEED_COUNT, len(distant)), areas.sum() / DISTANT_COUNT)], axis=1)
     is_among_nearest = np.linalg.norm(offsets[:, near_count:], axis=2) <= distances[:, -1:]
     member_areas[:, near_count:][is_among_nearest] = 0.0
     frames = frames_from_normals(normals[seeds])

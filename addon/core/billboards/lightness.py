@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
@@ -66,6 +67,6 @@ def describe_weight(
     correction = count / max(estimate(error), 1.0)
     steps = int(math.log(max(ERROR.maximum / error, 1.0), PROPOSAL_STEP))
     candidates = [error * PROPOSAL_STEP ** (index + 1) for index in range(steps)]
-    lighter += [candidate for candidate in candidates if correction * estimate(candidate) < source_triangles]
+    lighter += islice((candidate for candidate in candidates if correction * estimate(candidate) < source_triangles), 1)
     advice = f"an error of about {ERROR.format(float(f'{min(lighter):.2g}'))} would be" if lighter else "no error would make it"
     return f'The cloud of "{name}" has {count:,} triangles, its source {source_triangles:,}: {advice} lighter.'

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from ..arrays import TINY
+from ..arrays import TINY, group_rows
 from .primitives import Primitives
 
 CELL_FRACTION = 0.5  # Samples in one cell of this fraction of the radius are merged if their normals are in one octant.
@@ -89,8 +89,7 @@ def _merge(
     """
     cells = np.floor((positions - positions.min(axis=0)) / (CELL_FRACTION * radius)).astype(np.int64)
     keys = np.column_stack([cells, (normals >= 0.0) @ np.array([1, 2, 4])])
-    _, representative = np.unique(keys, axis=0, return_inverse=True)
-    representative = representative.reshape(-1)
+    representative = group_rows(keys)
     count = int(representative.max()) + 1
     x, y, z = normals.T
     columns = np.stack([x, y, z, x * x, y * y, z * z, x * y, y * z, z * x, np.ones(len(x))], axis=1) * areas[:, None]

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import coo_matrix, csgraph
 
+from ..arrays import group_rows
 from ..errors import GeometryError
 from ..messages import format_count
 from .transforms import normalize
@@ -149,8 +150,7 @@ def connected_components(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     Args:
         points: (V, 3) float64. corners: (P, C) int32 into points.
     """
-    _, welded = np.unique(points, axis=0, return_inverse=True)
-    corners = welded.reshape(-1)[corners]
+    corners = group_rows(points)[corners]
     links = np.stack([corners[:, :-1], corners[:, 1:]], axis=2).reshape(-1, 2)
     count = int(corners.max()) + 1
     graph = coo_matrix((np.ones(len(links), np.int8), (links[:, 0], links[:, 1])), shape=(count, count))
@@ -166,8 +166,7 @@ def solid_components(points: np.ndarray, triangles: np.ndarray, components: np.n
     Args:
         points: (V, 3) float64. triangles: (T, 3) int32. components: (T,) int32 from `connected_components`.
     """
-    _, welded = np.unique(points, axis=0, return_inverse=True)
-    corners = welded.reshape(-1)[triangles]
+    corners = group_rows(points)[triangles]
     starts, ends = corners.reshape(-1), np.roll(corners, -1, axis=1).reshape(-1)
     count = int(corners.max()) + 1
     forward, backward = starts.astype(np.int64) * count + ends, ends.astype(np.int64) * count + starts

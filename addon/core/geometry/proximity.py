@@ -4,7 +4,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from ..arrays import TINY
+from ..arrays import TINY, group_rows
 from ..jobs.chunks import map_chunks
 
 CHUNK_PAIRS = 1 << 13  # pairs at once: the temporaries fit the CPU cache
@@ -104,8 +104,7 @@ def primitive_distances(corners: np.ndarray, pairs: np.ndarray) -> np.ndarray:
         radii = np.linalg.norm(corners - centroids[:, None], axis=2).mean(axis=1)
         gaps = np.linalg.norm(centroids[pairs[:, 0]] - centroids[pairs[:, 1]], axis=1)
         return np.maximum(gaps - radii[pairs].sum(axis=1), 0.0)
-    _, welded = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
-    welded = welded.reshape(-1, 3)
+    welded = group_rows(corners.reshape(-1, 3)).reshape(-1, 3)
 
     def chunk_distances(chunk: np.ndarray) -> np.ndarray:
         a, b = chunk.T

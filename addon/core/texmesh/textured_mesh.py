@@ -7,6 +7,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from ..arrays import group_rows
 from ..errors import GeometryError
 from ..geometry.edges import Edges, find_edges, halfedge_ends
 from ..geometry.mesh import TriangleMesh, check_points, drop_degenerate
@@ -115,7 +116,7 @@ def group_by_texture(mesh: TexturedMesh, has_colors: bool = False) -> np.ndarray
     materials = np.zeros(len(mesh.uvs))
     materials[mesh.wedge_triangles.reshape(-1)] = np.repeat(mesh.materials, 3)
     keys = [mesh.wedge_vertices[:, None], materials[:, None], mesh.uvs, *([mesh.colors] if has_colors else [])]
-    return np.unique(np.concatenate(keys, axis=1) + 0.0, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int32)
+    return group_rows(np.concatenate(keys, axis=1)).astype(np.int32)
 
 
 def divide_wedges(wedge_triangles: np.ndarray, parts: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

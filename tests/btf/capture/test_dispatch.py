@@ -63,7 +63,10 @@ RAISE = "if view == 3: raise ZeroDivisionError('Null ist null.')"
 EXHAUST = "if view == 3: raise MemoryError"
 HANG = "if view == 3: open(folder + '/hangs', 'w'); time.sleep(600)"
 
-pytestmark = pytest.mark.skipif(os.name == "nt", reason="the workers here kill themselves with a signal")
+pytestmark = [
+    pytest.mark.once,
+    pytest.mark.skipif(os.name == "nt", reason="the workers here kill themselves with a signal"),
+]
 
 
 class Bake:
