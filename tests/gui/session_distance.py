@@ -15,10 +15,17 @@ BUTTON = "farfield.distance_build"
 
 
 def create_balls() -> None:
-    """Add a ball with bumps near the camera, a linked duplicate far away, and another ball."""
+    """Add a ball with bumps and a texture near the camera, a linked duplicate far away, and another ball."""
+    material = bpy.data.materials.new("Checker")
+    module("addon.compat").enable_nodes(material)
+    texture = material.node_tree.nodes.new("ShaderNodeTexImage")
+    texture.image = bpy.data.images.new("Checker", 64, 64)
+    texture.image.generated_type = "COLOR_GRID"
+    material.node_tree.links.new(texture.outputs["Color"], material.node_tree.nodes["Principled BSDF"].inputs["Base Color"])
     for subdivisions in (4, 3):
         bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=subdivisions)
         ball = bpy.context.object
+        ball.data.materials.append(material)
         for vertex in ball.data.vertices:
             x, y, z = vertex.co
             vertex.co *= 1.0 + 0.15 * math.sin(5.0 * x) * math.sin(4.0 * y + 1.0) * math.sin(6.0 * z)
