@@ -21,7 +21,7 @@ from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.operators.distance.job import prepare
 from farfield.addon.operators.job_run import run_job
 
-TREES, HOUSES, PROPS = 4000, 4, 2
+TREES, HOUSES = 7000, 1
 # Of the original and of levels, scene-linear.
 COLORS = ((0.75, 0.06, 0.04), (0.9, 0.35, 0.03), (0.8, 0.7, 0.06), (0.2, 0.6, 0.08), (0.05, 0.4, 0.7), (0.25, 0.15, 0.7))
 DURATION = 250  # Of a frame, in milliseconds.
@@ -30,7 +30,7 @@ GIF_COLORS = 128
 
 def build_ready_valley(width: int, samples: int) -> str:
     """Build the valley in a new scene and make it ready. Returns the message of the job."""
-    objects = build_valley(ValleyOptions(0, TREES, ROCKS, HOUSES, PROPS, width, samples))
+    objects = build_valley(ValleyOptions(0, TREES, ROCKS, HOUSES, 0, width, samples))
     scene = bpy.context.scene
     message = run_to_end(run_job(prepare(scene, objects, DistanceSettings())))
     scene.cycles.use_denoising = True
