@@ -83,7 +83,7 @@ def main(arguments: list[str], line: command_line.ProgressLine) -> str:
     for index, name in enumerate(given.only):
         line.show(Progress(index / len(given.only), f"Rendering {name}"))
         with tempfile.TemporaryDirectory() as folder:
-            picture = Path(folder) / f"{name}{'.gif' if name in ANIMATIONS else '.png'}"
+            picture = Path(folder) / f"{name}{'.webp' if name in ANIMATIONS else '.png'}"
             FIGURES[name](given.scene.absolute(), picture, given.samples)
             if name in ANIMATIONS:
                 with atomic_file(out / picture.name) as temporary:

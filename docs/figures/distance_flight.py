@@ -25,7 +25,7 @@ TREES, HOUSES = 7000, 1
 # Of the original and of levels, scene-linear.
 COLORS = ((0.75, 0.06, 0.04), (0.9, 0.35, 0.03), (0.8, 0.7, 0.06), (0.2, 0.6, 0.08), (0.05, 0.4, 0.7), (0.25, 0.15, 0.7))
 DURATION = 250  # Of a frame, in milliseconds.
-GIF_COLORS = 128
+ANIMATION_QUALITY = 60
 
 
 def build_ready_valley(width: int, samples: int) -> str:
@@ -78,9 +78,9 @@ def render_still(path: Path) -> None:
 
 
 def render_flight(path: Path) -> None:
-    """Write a GIF of the flight, as it renders and next to it its levels."""
+    """Write an animated WebP of the flight, as it renders and next to it its levels."""
     real = [render_frame(frame) for frame in range(1, FRAMES + 1)]
     color_levels()
-    pairs = [np.concatenate([image, render_frame(1 + number)], axis=1) for number, image in enumerate(real)]
-    images = [Image.fromarray(pair).quantize(GIF_COLORS) for pair in pairs]
-    images[0].save(path, save_all=True, append_images=images[1:], duration=DURATION, loop=0)
+    images = [Image.fromarray(np.concatenate([image, render_frame(1 + number)], axis=1)) for number, image in enumerate(real)]
+    options = {"duration": DURATION, "loop": 0, "quality": ANIMATION_QUALITY, "method": 6}
+    images[0].save(path, save_all=True, append_images=images[1:], **options)
