@@ -44,7 +44,7 @@ def test_pieces_stand_in_leaves_and_cover_as_much(is_double):
     ranks = np.random.default_rng(0).permutation(COUNT) / COUNT
     for pixel_size in (0.06, 0.2, 1.0):
         points = cutouts.choose(pixel_size, ranks)
-        pieces = place_pieces(vertices, triangles, uvs, cutouts, points, pixel_size)
+        pieces = place_pieces(vertices, triangles, uvs[cutouts.triangles[points]], cutouts, points, pixel_size)
         areas, normals = face_areas_and_normals(pieces.positions)
         assert len(areas) == cutouts.count_triangles(pixel_size, ranks) == len(points) * (2 if is_double else 1)
         assert areas == pytest.approx((SIDE * pixel_size) ** 2)

@@ -11,7 +11,7 @@ from ...core.distance.cutouts import Cutouts, find_cutouts, place_pieces
 from ...core.distance.levels import LevelCandidate
 from ...core.geometry.mesh import face_areas_and_normals, longest_side
 from ...core.jobs.progress import Progress, Steps
-from ..geometry.evaluated_mesh import EvaluatedMesh, MeshAttribute
+from ..geometry.evaluated_mesh import EvaluatedMesh, MaterialKey, MeshAttribute
 from ..geometry.joined_meshes import join_instances
 from ..geometry.meshes import SourceInstance, find_material
 from .opacity_maps import OpacityMap, create_opaque, read_opacity_map
@@ -28,17 +28,13 @@ class CutLeaves:
 
     Attributes:
         cutouts: their pieces.
-        is_cut: (E,) bool, which elements they are.
         maps: opacity map by index of the material.
-        opaque: index of the same material without opacity, in the materials of the mesh and then `added`.
-        added: opaque materials.
+        opaque: key of the same material without opacity, by the same index.
     """
 
     cutouts: Cutouts
-    is_cut: np.ndarray
     maps: dict[int, OpacityMap]
-    opaque: dict[int, int]
-    added: tuple[bpy.types.Material, ...]
+    opaque: dict[int, MaterialKey]
 
 
 @dataclass(frozen=True)
@@ -52,7 +48,9 @@ class Foliage:
     @property
     def transparent_triangles(self) -> int:
         """The number of triangles of leaves that are cut out."""
-        return 0 if self.leaves is None else int(self.leaves.is_cut[self.elements.of_triangles[self.elements.of_triangles >= 0]].sum())
+        return (
+            0 if self.leaves is None else int(self.leaves.cutouts.is_cut[self.elements.of_triangles[self.elements.of_triangles >= 0]].sum())
+        )
 
 
 def find_foliage(evaluated: EvaluatedMesh) -> Foliage | None:
@@ -66,7 +64,7 @@ def simplify_foliage(item: bpy.types.Object, foliage: Foliage, scene: bpy.types.
     yield Progress(0.0, "Simplifying branches")
     evaluated, elements, leaves = foliage.evaluated, foliage.elements, foliage.leaves
     rest = np.flatnonzero(elements.of_triangles < 0)
-    branches: list[tuple[EvaluatedMesh | None, float]] = [(_take(evaluated, rest) if len(rest) else None, 0.0)]
+    branches: list[tuple[EvaluatedMesh | None, float]] = [(_select_triangles(evaluated, rest) if len(rest) else None, 0.0)]
     side = longest_side(evaluated.vertices)
     if len(rest):
         branches += decimate(branches[0][0], scene, side)
@@ -79,7 +77,7 @@ def simplify_foliage(item: bpy.types.Object, foliage: Foliage, scene: bpy.types.
         if leaves is not None:
             is_replaced = leaves.cutouts.is_replaced(pixel_size)
             pieces = leaves.cutouts.count_triangles(pixel_size, elements.ranks)
-            transparent = int(counts[leaves.is_cut & ~is_replaced].sum())
+            transparent = int(counts[leaves.cutouts.is_cut & ~is_replaced].sum())
         triangles = int(counts[~is_replaced].sum()) + pieces + (0 if branch is None else len(branch.triangles))
         candidate = LevelCandidate(triangles, pixel_size, transparent)
         if candidate.cost > COST_RATIO * previous.cost or triangles < MIN_TRIANGLES:
@@ -96,16 +94,15 @@ def simplify_foliage(item: bpy.types.Object, foliage: Foliage, scene: bpy.types.
 def _find_cut_leaves(evaluated: EvaluatedMesh, elements: Elements) -> CutLeaves | None:
     """Return the elements whose material has an opacity map that opaque pieces can stand for."""
     used = np.unique(evaluated.material_indices[elements.of_triangles >= 0]).tolist()
-    maps, opaque, added = {}, {}, []
+    maps, opaque = {}, {}
     for index in used:
         key = evaluated.materials[index]
         found = None if key is None else read_opacity_map(find_material(key))
-        if found is None or (found.use.uv_map or evaluated.uv_map) not in evaluated.attributes:
+        if found is None or found.find_uv_map(evaluated) not in evaluated.attributes:
             continue
         material = create_opaque(find_material(key))
         if material is not None:
-            maps[index], opaque[index] = found, len(evaluated.materials) + len(added)
-            added.append(material)
+            maps[index], opaque[index] = found, (material.name, None)
     if not maps:
         return None
     rows = np.flatnonzero(elements.of_triangles >= 0)
@@ -121,14 +118,14 @@ def _find_cut_leaves(evaluated: EvaluatedMesh, elements: Elements) -> CutLeaves 
         return result
 
     cutouts = find_cutouts(evaluated.vertices, evaluated.triangles, elements.of_triangles, is_cut, read_opacity)
-    return CutLeaves(cutouts, is_cut & (cutouts.areas > 0.0), maps, opaque, tuple(added))
+    return CutLeaves(cutouts, maps, opaque)
 
 
 def _create_leaves(evaluated: EvaluatedMesh, level: AggregateLevel) -> EvaluatedMesh:
     corners = 3 * level.kept[:, None] + np.arange(3)
     positions = np.concatenate([evaluated.vertices[evaluated.triangles[level.kept]], level.positions])
     is_flat = np.concatenate([np.zeros(len(corners), bool), level.is_flat])
-    return _take_corners(evaluated, positions, np.concatenate([corners, level.sources]), is_flat)
+    return _select_corners(evaluated, positions, np.concatenate([corners, level.sources]), is_flat)
 
 
 def _create_pieces(foliage: Foliage, pixel_size: float) -> list[EvaluatedMesh]:
@@ -138,28 +135,29 @@ def _create_pieces(foliage: Foliage, pixel_size: float) -> list[EvaluatedMesh]:
     indices = evaluated.material_indices[leaves.cutouts.triangles[points]]
     found = []
     for index in np.unique(indices).tolist():
-        name = leaves.maps[index].use.uv_map or evaluated.uv_map
-        uvs = leaves.maps[index].read_uvs(evaluated, np.arange(len(evaluated.triangles)))
-        pieces = place_pieces(evaluated.vertices, evaluated.triangles, uvs, leaves.cutouts, points[indices == index], pixel_size)
+        opacity, chosen = leaves.maps[index], points[indices == index]
+        uvs = opacity.read_uvs(evaluated, leaves.cutouts.triangles[chosen])
+        pieces = place_pieces(evaluated.vertices, evaluated.triangles, uvs, leaves.cutouts, chosen, pixel_size)
         nearest = pieces.weights.mean(axis=1).argmax(axis=1)
         corners = np.repeat(3 * pieces.sources + nearest, 3).reshape(-1, 3)
-        mesh = _take_corners(evaluated, pieces.positions, corners, np.zeros(len(corners), bool))
-        values = np.einsum("nck,nki->nci", pieces.weights, uvs[pieces.sources]).reshape(-1, 2).astype(np.float32)
-        keys = (*evaluated.materials, *((material.name, None) for material in leaves.added))
-        material_indices = np.full(len(corners), leaves.opaque[index], np.int32)
-        attributes = mesh.attributes | {name: MeshAttribute("CORNER", values)}
+        mesh = _select_corners(evaluated, pieces.positions, corners, np.zeros(len(corners), bool))
+        values = np.einsum("nck,nki->nci", pieces.weights, opacity.read_uvs(evaluated, pieces.sources)).reshape(-1, 2).astype(np.float32)
+        material_indices = np.zeros(len(corners), np.int32)
+        attributes = mesh.attributes | {opacity.find_uv_map(evaluated): MeshAttribute("CORNER", values)}
         normals = np.where(np.repeat(pieces.is_back, 3)[:, None], -mesh.normals, mesh.normals)
-        found.append(replace(mesh, normals=normals, materials=keys, material_indices=material_indices, attributes=attributes))
+        found.append(
+            replace(mesh, normals=normals, materials=(leaves.opaque[index],), material_indices=material_indices, attributes=attributes)
+        )
     return found
 
 
-def _take(evaluated: EvaluatedMesh, triangles: np.ndarray) -> EvaluatedMesh:
+def _select_triangles(evaluated: EvaluatedMesh, triangles: np.ndarray) -> EvaluatedMesh:
     """Return some triangles of a mesh."""
     corners = 3 * triangles[:, None] + np.arange(3)
-    return _take_corners(evaluated, evaluated.vertices[evaluated.triangles[triangles]], corners, np.zeros(len(triangles), bool))
+    return _select_corners(evaluated, evaluated.vertices[evaluated.triangles[triangles]], corners, np.zeros(len(triangles), bool))
 
 
-def _take_corners(evaluated: EvaluatedMesh, positions: np.ndarray, sources: np.ndarray, is_flat: np.ndarray) -> EvaluatedMesh:
+def _select_corners(evaluated: EvaluatedMesh, positions: np.ndarray, sources: np.ndarray, is_flat: np.ndarray) -> EvaluatedMesh:
     """Return triangles with corners at `positions` (N, 3, 3), and everything else from the corners `sources` (N, 3) of a mesh,
     3 * triangle + corner; those that are flat (N,) have the normals of their faces."""
     faces, corners = sources // 3, sources % 3

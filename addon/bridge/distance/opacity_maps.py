@@ -30,9 +30,13 @@ class OpacityMap:
     use: TextureUse
     values: np.ndarray
 
+    def find_uv_map(self, evaluated: EvaluatedMesh) -> str:
+        """Return the name of the UV map of a mesh on which the image lies."""
+        return self.use.uv_map or evaluated.uv_map
+
     def read_uvs(self, evaluated: EvaluatedMesh, triangles: np.ndarray) -> np.ndarray:
         """Return the texture coordinates (N, 3, 2) at the corners of `triangles` (N,)."""
-        return evaluated.at_corners(self.use.uv_map or evaluated.uv_map, triangles)[..., :2].astype(np.float64)
+        return evaluated.at_corners(self.find_uv_map(evaluated), triangles)[..., :2].astype(np.float64)
 
     def sample(self, uvs: np.ndarray) -> np.ndarray:
         """Return the opacities (N,) at texture coordinates (N, 2)."""

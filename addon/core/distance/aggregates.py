@@ -120,9 +120,10 @@ def count_triangles(elements: Elements, pixel_size: float) -> np.ndarray:
 def simplify_elements(elements: Elements, pixel_size: float, is_left_out: np.ndarray | bool = False) -> AggregateLevel:
     """Return the level that looks like the elements where a pixel is larger than `pixel_size`, without some of them (E,)."""
     is_replaced, growth = _grow(elements, pixel_size)
-    is_original = np.append(~is_replaced & ~np.asarray(is_left_out), False)  # The last one is that of the rest.
+    is_kept = ~np.asarray(is_left_out)
+    is_original = np.append(~is_replaced & is_kept, False)  # The last one is that of the rest.
     kept = np.flatnonzero(is_original[elements.of_triangles])
-    chosen = np.flatnonzero(is_replaced & (elements.ranks * growth.prod(axis=1) < 1.0) & ~np.asarray(is_left_out))
+    chosen = np.flatnonzero(is_replaced & (elements.ranks * growth.prod(axis=1) < 1.0) & is_kept)
     offsets = elements.offsets[chosen].copy()
     offsets[..., :2] *= growth[chosen, None]
     positions = elements.centers[chosen, None] + offsets @ elements.frames[chosen]

@@ -49,9 +49,14 @@ class Cutouts:
     angles: np.ndarray
     is_double: np.ndarray
 
+    @property
+    def is_cut(self) -> np.ndarray:
+        """Which elements (E,) are cut out."""
+        return self.areas > 0.0
+
     def is_replaced(self, pixel_size: float) -> np.ndarray:
         """Return which elements (E,) pieces replace where a pixel has this size."""
-        return (self.areas > 0.0) & (self.areas <= np.minimum(np.diff(self.starts), MAX_PIECES) * (SIDE * pixel_size) ** 2)
+        return self.is_cut & (self.areas <= np.minimum(np.diff(self.starts), MAX_PIECES) * (SIDE * pixel_size) ** 2)
 
     def count_triangles(self, pixel_size: float, ranks: np.ndarray) -> int:
         """Return the number of triangles of the pieces of `choose`."""
@@ -131,7 +136,7 @@ def find_cutouts(
 def place_pieces(
     vertices: np.ndarray, triangles: np.ndarray, uvs: np.ndarray, cutouts: Cutouts, points: np.ndarray, pixel_size: float
 ) -> Pieces:
-    """Return the pieces at some `points` (N,) of cutouts. uvs: (T, 3, 2), of the opacity map."""
+    """Return the pieces at some `points` (N,) of cutouts. uvs: (N, 3, 2), of the opacity map at the corners of their triangles."""
     sources, weights, angles = cutouts.triangles[points], cutouts.weights[points], cutouts.angles[points]
     corners = np.asarray(vertices, np.float64)[triangles[sources]]
     _, normals = face_areas_and_normals(corners)
@@ -144,7 +149,7 @@ def place_pieces(
     offsets = radius * (np.cos(turned)[..., None] * along[:, None] + np.sin(turned)[..., None] * across[:, None])
     positions = centers[:, None] + offsets
     moved = np.stack([plane_barycentric(positions[:, corner], corners) for corner in range(3)], axis=1) - weights[:, None]
-    lengths = np.linalg.norm(np.einsum("nck,nki->nci", moved, uvs[sources]), axis=2).max(axis=1)
+    lengths = np.linalg.norm(np.einsum("nck,nki->nci", moved, uvs), axis=2).max(axis=1)
     scale = np.minimum(UV_LENGTH / np.maximum(lengths, TINY), 1.0)
     in_map = weights[:, None] + scale[:, None, None] * moved
     owners = np.searchsorted(cutouts.starts, points, side="right") - 1

@@ -86,9 +86,9 @@ def build_chain(asset: Asset, fingerprint: str, settings: DistanceSettings, rema
     """Make the levels of an asset. What could not be made is added to `remarks`."""
     try:
         with temporary_scene() as scene:
-            side = float((asset.high - asset.low).max()) * mean_scale(asset.frame)
+            side = float((asset.high - asset.low).max())
             copies = [_copy_object(item, scene) for item in asset.objects]
-            simplified = yield from subprogress(_simplify(copies, scene, side, settings), 0.0, SIMPLIFY_FRACTION)
+            simplified = yield from subprogress(_simplify(copies, scene, side * mean_scale(asset.frame), settings), 0.0, SIMPLIFY_FRACTION)
             textured = [item.copy for item in simplified if item.is_textured]
             if settings.perceptual_levels and textured:
                 steps = _run(scene, lambda: _prepare_levels(textured), f'levels of "{asset.name}"', remarks)
@@ -99,9 +99,7 @@ def build_chain(asset: Asset, fingerprint: str, settings: DistanceSettings, rema
                     part.meshes.append(None)
                     part.candidates.append(LevelCandidate(0, float(np.linalg.norm(part.size))))
             combined = combine_levels([part.candidates for part in parts])
-            is_needed = not settings.perceptual_levels or needs_cloud(
-                [candidate for candidate, _ in combined], float((asset.high - asset.low).max())
-            )
+            is_needed = not settings.perceptual_levels or needs_cloud([candidate for candidate, _ in combined], side)
             base_size = 0.0
             if settings.billboard_cloud and is_needed and not any(item.foliage is not None for item in simplified):
                 bases = [item.base for item in simplified]
