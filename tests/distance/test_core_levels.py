@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from farfield.addon.core.distance import LevelCandidate, choose_levels, choose_vanishing, combine_levels, needs_cloud
+from farfield.addon.core.distance import LevelCandidate, choose_levels, choose_vanishing, combine_levels, is_light
 
 
 def candidates(*numbers: tuple[int, float]) -> list[LevelCandidate]:
@@ -31,9 +31,19 @@ def test_the_original_is_always_the_first_level():
     assert choose_levels(candidates((12, 0.0))) == [0]
 
 
-@pytest.mark.parametrize(("triangles", "pixel_size", "expected"), [(500, 1.0, False), (501, 1.0, True), (500, 1.1, True)])
-def test_a_cloud_is_needed_where_no_light_mesh_shows_a_small_object(triangles, pixel_size, expected):
-    assert needs_cloud(candidates((9000, 0.0), (triangles, pixel_size)), side=8.0) is expected
+@pytest.mark.parametrize(
+    ("triangles", "pixel_size", "places", "expected"),
+    [
+        (10_000, 1.0, 2, True),
+        (10_001, 1.0, 2, False),
+        (10_000, 1.1, 2, False),
+        (2_500, 1.0, 40, True),
+        (2_500, 1.0, 41, False),
+        (2_501, 1.0, 8, False),
+    ],
+)
+def test_an_object_is_light_by_what_all_its_places_show_where_it_is_small(triangles, pixel_size, places, expected):
+    assert is_light(candidates((4 * 2_500 + 1, 0.0), (triangles, pixel_size)), side=32.0, places=places) is expected
 
 
 def test_small_parts_vanish_as_long_as_they_are_few():

@@ -14,6 +14,7 @@ from farfield.addon.bridge.distance.placing import QUADS
 from farfield.addon.bridge.geometry.mesh_arrays import read_attribute, write_attribute
 from farfield.addon.compat import enable_nodes, read_node_input
 from farfield.addon.core.billboards.settings import BillboardSettings
+from farfield.addon.core.distance import levels as core_levels
 from farfield.addon.core.distance.settings import DistanceSettings
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.json_values import parse_json
@@ -35,6 +36,8 @@ def quick_levels(monkeypatch):
     level_settings = {"levels": "ratios", "ratios": "0.5,0.2", "views": 1, "max_image": 32, "vertices": "original"}
     monkeypatch.setattr(distance_build, "TexmeshSettings", partial(TexmeshSettings, **level_settings))
     monkeypatch.setattr(distance_build, "BillboardSettings", partial(BillboardSettings, samples=1, error=0.05))
+    for name in ("FEW_TRIANGLES", "MANY_TRIANGLES"):
+        monkeypatch.setattr(core_levels, name, 0)
 
 
 @pytest.fixture
@@ -77,6 +80,16 @@ def test_perceptual_levels_of_an_object_and_its_linked_duplicate(camera):
     assert fading.data == ball.data and fading.material_slots[0].material != ball.material_slots[0].material
     assert bpy.ops.farfield.distance_remove() == {"FINISHED"}
     assert describe_file() == before
+
+
+def test_an_object_that_is_light_when_decimated_gets_neither_perceptual_levels_nor_a_cloud(camera, monkeypatch):
+    ball = textured_ball(64, "Ball")
+    monkeypatch.setattr(core_levels, "MANY_TRIANGLES", len(ball.data.loops))
+    for name in ("_prepare_levels", "_prepare_cloud"):
+        monkeypatch.setattr(distance_build, name, lambda _copies: pytest.fail("not needed"))
+    build(min_triangles=10)
+    (chain,) = read_chains()
+    assert chain.triangles[0] == count_triangles(ball) and chain.triangles[-1] <= 0.1 * chain.triangles[0]
 
 
 def test_a_billboard_cloud_of_a_scatter(camera):

@@ -11,9 +11,10 @@ import numpy as np
 MAX_COST_RATIO = 0.75  # Of a level to the level before; one that saves less is not worth a switch.
 MAX_VANISHING_AREA = 0.05  # Of parts that vanish, relative to that of all bounding boxes.
 TRANSPARENT_COST = 16  # Of a triangle that an opacity map cuts out, in opaque ones: rays go on behind it.
-# An object as small as this in an image, in pixels, needs a cloud if no mesh of so few triangles shows it. Cycles takes longer for the
-# transparent quads of a cloud than for such a mesh, and its images take more memory.
-FEW_PIXELS, FEW_TRIANGLES = 8.0, 500
+# An object is light enough by what shows it where it is this small in an image, in pixels: if all its places together have few triangles,
+# or not many and at most this fraction of the original ones. Perceptual levels take minutes, and Cycles takes more memory and time for the
+# images and transparent quads of a cloud than for such a mesh.
+SMALL_PIXELS, FEW_TRIANGLES, MANY_TRIANGLES, LIGHT_FRACTION = 32.0, 20_000, 100_000, 0.25
 
 
 @dataclass(frozen=True)
@@ -77,9 +78,12 @@ def choose_vanishing(sizes: np.ndarray) -> np.ndarray:
     return chosen
 
 
-def needs_cloud(candidates: Sequence[LevelCandidate], side: float) -> bool:
-    """Return whether the meshes of an object have so many triangles for its size in an image that a billboard cloud is lighter.
+def is_light(candidates: Sequence[LevelCandidate], side: float, places: int) -> bool:
+    """Return whether the levels of an object, the first of which is the original, have so few triangles at all its places that more
+    levels or a billboard cloud do not pay.
 
     side: the longest one of the object, in the same unit as the pixel sizes.
     """
-    return not any(level.triangles <= FEW_TRIANGLES and level.pixel_size <= side / FEW_PIXELS for level in candidates)
+    shown = min(level.triangles for level in candidates if level.pixel_size <= side / SMALL_PIXELS)
+    limit = MANY_TRIANGLES if shown <= LIGHT_FRACTION * candidates[0].triangles else FEW_TRIANGLES
+    return places * shown <= limit

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import bpy
 import mathutils
@@ -22,7 +22,7 @@ from ...bridge.rendering.render_properties import copy_render_properties
 from ...bridge.texmesh.level_sets import LevelSet, level_sets_in, remove_level_set
 from ...core.arrays import TINY
 from ...core.billboards.settings import BillboardSettings, BuildOptions
-from ...core.distance.levels import LevelCandidate, choose_levels, choose_vanishing, combine_levels, needs_cloud
+from ...core.distance.levels import LevelCandidate, choose_levels, choose_vanishing, combine_levels, is_light
 from ...core.distance.settings import DistanceSettings
 from ...core.errors import Cancelled, FarfieldError
 from ...core.geometry.transforms import mean_scale
@@ -36,9 +36,7 @@ SCENE_NAME = "Farfield Build"
 CLOUD_LEVELS = 2
 POLL = 0.05  # Seconds between two looks at a thread.
 SIMPLIFY_FRACTION, LEVELS_FRACTION = 0.1, 0.45  # Of the work on an asset.
-# Of objects with a texture, which Decimate moves. They get perceptual levels; heavier ones and those without a texture are decimated,
-# which takes seconds.
-MAX_PERCEPTUAL_TRIANGLES = 200_000
+MAX_PERCEPTUAL_TRIANGLES = 200_000  # Of objects with a texture that get perceptual levels, which take minutes.
 MIN_PART_TRIANGLES = 8  # Of levels of one of many objects.
 MAX_BASE_PIXEL = 0.01  # Pixel size of the mesh that clouds are made of, relative to the longest side; it is the error of the cloud.
 
@@ -52,7 +50,7 @@ class Simplified:
         base: object that clouds are made of: `copy`, or a lighter one that looks like it from some distance.
         base_size: of the pixels above which it does, in units of the object.
         levels: lighter meshes, finest first.
-        is_textured: whether perceptual levels are wanted instead.
+        is_textured: whether it has a texture, which Decimate moves, and few enough triangles for perceptual levels.
         foliage: its leaves, for which a cloud would be no use; None without.
     """
 
@@ -90,22 +88,18 @@ def build_chain(asset: Asset, fingerprint: str, settings: DistanceSettings, rema
             copies = [_copy_object(item, scene) for item in asset.objects]
             simplified = yield from subprogress(_simplify(copies, scene, side * mean_scale(asset.frame), settings), 0.0, SIMPLIFY_FRACTION)
             textured = [item.copy for item in simplified if item.is_textured]
-            if settings.perceptual_levels and textured:
+            parts, combined = _combine(asset, simplified, scene, settings)
+            if textured and settings.perceptual_levels and not is_light([level for level, _ in combined], side, len(asset.matrices)):
                 steps = _run(scene, lambda: _prepare_levels(textured), f'levels of "{asset.name}"', remarks)
                 yield from subprogress(steps, SIMPLIFY_FRACTION, LEVELS_FRACTION)
-            parts = [_read_part(asset, *pair, level_sets_in(scene)) for pair in zip(asset.objects, simplified, strict=True)]
-            for part, may_vanish in zip(parts, choose_vanishing(np.array([part.size for part in parts])), strict=True):
-                if may_vanish and settings.perceptual_levels:
-                    part.meshes.append(None)
-                    part.candidates.append(LevelCandidate(0, float(np.linalg.norm(part.size))))
-            combined = combine_levels([part.candidates for part in parts])
-            is_needed = not settings.perceptual_levels or needs_cloud([candidate for candidate, _ in combined], side)
+                parts, combined = _combine(asset, simplified, scene, settings)
+            is_needed = not settings.perceptual_levels or not is_light([level for level, _ in combined], side, len(asset.matrices))
             base_size = 0.0
             if settings.billboard_cloud and is_needed and not any(item.foliage is not None for item in simplified):
                 bases = [item.base for item in simplified]
-                steps = _run(scene, lambda: _prepare_cloud(bases), f'cloud of "{asset.name}"', remarks)
-                yield from subprogress(steps, LEVELS_FRACTION, 1.0)
                 base_size = max(item.base_size * _scale(asset, item.copy) for item in simplified)
+                steps = _run(scene, lambda: _prepare_cloud(bases, base_size / side), f'cloud of "{asset.name}"', remarks)
+                yield from subprogress(steps, LEVELS_FRACTION, 1.0)
             yield Progress(1.0, "Creating levels")
             return _assemble(asset, fingerprint, parts, combined, clouds_in(scene), base_size, settings)
     finally:
@@ -115,8 +109,7 @@ def build_chain(asset: Asset, fingerprint: str, settings: DistanceSettings, rema
 def _simplify(
     copies: Sequence[bpy.types.Object], scene: bpy.types.Scene, side: float, settings: DistanceSettings
 ) -> Steps[list[Simplified]]:
-    """Return light meshes of foliage, of heavy objects and of those without a texture. side: the longest one of all together, in world
-    space."""
+    """Return light meshes of all objects. side: the longest one of all together, in world space."""
     found = []
     scene.view_layers[0].update()
     depsgraph = scene.view_layers[0].depsgraph
@@ -130,17 +123,16 @@ def _simplify(
             if foliage is not None:
                 levels = yield from subprogress(simplify_foliage(copy, foliage, scene), *span)
                 item = Simplified(copy, copy, 0.0, levels, foliage=foliage)
-            elif len(evaluated.triangles) > MAX_PERCEPTUAL_TRIANGLES or not has_texture(evaluated):
+            else:
+                is_textured = has_texture(evaluated) and len(evaluated.triangles) <= MAX_PERCEPTUAL_TRIANGLES
                 own_side = side / max(mean_scale(world_matrix(copy)), TINY)
                 min_triangles = max(MIN_TRIANGLES // len(copies), MIN_PART_TRIANGLES)
                 levels = yield from subprogress(simplify_solid(copy, evaluated, scene, own_side, min_triangles), *span)
                 base = next((level for level in reversed(levels) if level.pixel_size <= MAX_BASE_PIXEL * own_side), None)
-                if base is not None:
+                if base is not None and not is_textured:
                     item = Simplified(copy, _add_base(copy, base, scene), base.pixel_size, levels)
                 else:
-                    item = Simplified(copy, copy, 0.0, levels)
-            else:
-                item = Simplified(copy, copy, 0.0, [], is_textured=True)
+                    item = Simplified(copy, copy, 0.0, levels, is_textured)
         found.append(item)
     return found
 
@@ -190,9 +182,12 @@ def _prepare_levels(copies: Sequence[bpy.types.Object]) -> Job:
     return prepare_levels(bpy.context, copies, TexmeshSettings(), scene_settings)
 
 
-def _prepare_cloud(copies: Sequence[bpy.types.Object]) -> Job:
+def _prepare_cloud(copies: Sequence[bpy.types.Object], base_size: float) -> Job:
+    """Prepare a cloud with texels for the pixels from which it shows. base_size: see `_assemble`, relative to the longest side."""
     options = BuildOptions(combine_selected=True, keep_original_visible=True)
-    return prepare_job(bpy.context, copies, BillboardSettings(levels=CLOUD_LEVELS), options)
+    settings = BillboardSettings(levels=CLOUD_LEVELS)
+    settings = replace(settings, texel_size=settings.texel_size * (1.0 + base_size / settings.error))
+    return prepare_job(bpy.context, copies, settings, options)
 
 
 def _run(scene: bpy.types.Scene, prepare: Callable[[], Job], subject: str, remarks: list[str]) -> Steps[None]:
@@ -241,8 +236,21 @@ def _scale(asset: Asset, item: bpy.types.Object) -> float:
     return mean_scale(asset.frame.inverted_safe() @ world_matrix(item))
 
 
+def _combine(
+    asset: Asset, simplified: Sequence[Simplified], scene: bpy.types.Scene, settings: DistanceSettings
+) -> tuple[list[Part], list[tuple[LevelCandidate, tuple[int, ...]]]]:
+    """Return the objects of an asset with their levels, and the levels of all together, see `combine_levels`."""
+    sets = level_sets_in(scene)
+    parts = [_read_part(asset, *pair, sets) for pair in zip(asset.objects, simplified, strict=True)]
+    for part, may_vanish in zip(parts, choose_vanishing(np.array([part.size for part in parts])), strict=True):
+        if may_vanish and settings.perceptual_levels:
+            part.meshes.append(None)
+            part.candidates.append(LevelCandidate(0, float(np.linalg.norm(part.size))))
+    return parts, combine_levels([part.candidates for part in parts])
+
+
 def _read_part(asset: Asset, item: bpy.types.Object, simplified: Simplified, sets: Sequence[LevelSet]) -> Part:
-    """Return an object of an asset with its light meshes or its perceptual levels, if it has any."""
+    """Return an object of an asset with those of its light meshes and perceptual levels that pay."""
     inverse, unit = asset.frame.inverted_safe(), mean_scale(asset.frame)
     matrix, copy = inverse @ world_matrix(item), simplified.copy
     evaluated = copy.evaluated_get(copy.users_scene[0].view_layers[0].depsgraph)
@@ -256,6 +264,8 @@ def _read_part(asset: Asset, item: bpy.types.Object, simplified: Simplified, set
             world = world_matrix(level)
             candidates.append(LevelCandidate(count_triangles(level.data), error * mean_scale(world) / unit))
             meshes.append((level.data, inverse @ world))
+    chosen = choose_levels(candidates)
+    meshes, candidates = [meshes[index] for index in chosen], [candidates[index] for index in chosen]
     low, high = read_box([copy], mathutils.Matrix.Identity(4), copy.users_scene[0].view_layers[0].depsgraph)
     return Part(copy, meshes, candidates, (high - low) / unit)
 
