@@ -32,9 +32,12 @@ class DistanceSettings(Settings):
     )
     min_triangles: int = setting(500, "Objects with fewer triangles stay as they are", minimum=0, maximum=1_000_000_000)
     perceptual_levels: bool = setting(
-        True, "Make meshes with fewer triangles: decimated meshes, perceptual levels where these stay heavy, foliage with fewer and larger leaves"
+        True,
+        "Make meshes with fewer triangles: decimated meshes, perceptual levels where these stay heavy, foliage with fewer and larger leaves",
     )
-    billboard_cloud: bool = setting(True, "Make a billboard cloud, a few quads with images of the original, where meshes stay heavy far away")
+    billboard_cloud: bool = setting(
+        True, "Make a billboard cloud, a few quads with images of the original, where meshes stay heavy far away"
+    )
     triangle_budget: int = setting(
         0,
         "Largest number of triangles that levels have together in any image. Max Error is raised until they fit. 0 is no limit",
