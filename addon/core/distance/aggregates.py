@@ -22,7 +22,7 @@ MAX_ELEMENT_AREA = 5e-3  # Of one element, relative to the area of the mesh; tru
 MIN_SCATTER, MAX_ALIGNMENT = 0.35, 0.9
 SAMPLES, NEIGHBORS = 2000, 8  # Elements whose neighbors are looked at, and how many.
 MORTON_BITS = 10  # Per axis, of the cells by which elements are sorted.
-SHEET_ERROR, SOLID_ERROR = 0.25, 0.5  # What a stand-in of a sheet, and of a twig, leaves out, relative to the width.
+SHEET_ERROR, SOLID_ERROR = 0.125, 0.5  # What a stand-in of a sheet, and of a twig, leaves out, relative to the width.
 MIN_SIDE = 1.0  # Of a stand-in, in pixels.
 # Stand-ins of sheets, pointed as leaves, and of twigs, along and across, relative to the sides of a rectangle with the same area.
 RHOMBUS = np.sqrt(0.5) * np.array([(-1, 0), (0, -1), (1, 0), (0, 1)])
