@@ -23,6 +23,12 @@ def set_file_format(settings: bpy.types.ImageFormatSettings, file_format: str) -
     settings.file_format = file_format
 
 
+def compositor_trees(scene: bpy.types.Scene) -> list[bpy.types.NodeTree]:
+    """Return the trees whose nodes may process the renders of a scene: that of its compositor, and all groups."""
+    tree = scene.compositing_node_group if bpy.app.version >= (5, 0, 0) else scene.node_tree
+    return [*filter(None, [tree]), *(group for group in bpy.data.node_groups if group.bl_idname == "CompositorNodeTree")]
+
+
 def uses_nodes(owner: bpy.types.Material | bpy.types.World) -> bool:
     """Return whether a material or World is rendered with its nodes; from Blender 5 on, all of them are."""
     return owner.node_tree is not None and (bpy.app.version >= (5, 0, 0) or owner.use_nodes)
