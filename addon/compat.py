@@ -45,6 +45,11 @@ def image_paint_settings(tools: bpy.types.ToolSettings) -> bpy.types.UnifiedPain
     return tools.image_paint.unified_paint_settings if bpy.app.version >= (5, 0, 0) else tools.unified_paint_settings
 
 
+def set_brush_diameter(brush: bpy.types.Brush | bpy.types.UnifiedPaintSettings, pixels: int) -> None:
+    """Set the size of a brush, or of the settings that brushes share, on screen."""
+    brush.size = pixels if bpy.app.version >= (5, 0, 0) else max(pixels // 2, 1)
+
+
 def read_node_input(modifier: bpy.types.NodesModifier, name: str) -> object:
     """Return the input `name` of the node group of a Geometry Nodes modifier, see `set_node_input`."""
     identifier = modifier.node_group.interface.items_tree[name].identifier
