@@ -117,7 +117,7 @@ def session() -> Iterator[float]:
     left, right = user.window_position(0.0, 0.0)[0], user.window_position(1.0, 0.0)[0]
     results["brush"] = module("addon.compat").image_paint_settings(tools).size / (right - left)
     results["mask"] = {"name": user.shown.name, "mode": user.area.spaces.active.ui_mode}
-    for row in (160, 180):
+    for row in (152, 164, 176, 188):
         yield from user.paint((50 / SIDE, row / SIDE), (450 / SIDE, row / SIDE))
     mask = user.shown
     results["painted"] = float((read(mask)[..., 0] > 0.5).mean())
