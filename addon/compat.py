@@ -23,6 +23,12 @@ def set_file_format(settings: bpy.types.ImageFormatSettings, file_format: str) -
     settings.file_format = file_format
 
 
+def compositor_trees(scene: bpy.types.Scene) -> list[bpy.types.NodeTree]:
+    """Return the trees whose nodes may process the renders of a scene: that of its compositor, and all groups."""
+    tree = scene.compositing_node_group if bpy.app.version >= (5, 0, 0) else scene.node_tree
+    return [*filter(None, [tree]), *(group for group in bpy.data.node_groups if group.bl_idname == "CompositorNodeTree")]
+
+
 def uses_nodes(owner: bpy.types.Material | bpy.types.World) -> bool:
     """Return whether a material or World is rendered with its nodes; from Blender 5 on, all of them are."""
     return owner.node_tree is not None and (bpy.app.version >= (5, 0, 0) or owner.use_nodes)
@@ -37,6 +43,11 @@ def enable_nodes(owner: bpy.types.Material | bpy.types.World) -> None:
 def image_paint_settings(tools: bpy.types.ToolSettings) -> bpy.types.UnifiedPaintSettings:
     """Return the settings that all brushes share when images are painted; from Blender 5 on, each kind of painting has its own."""
     return tools.image_paint.unified_paint_settings if bpy.app.version >= (5, 0, 0) else tools.unified_paint_settings
+
+
+def set_brush_diameter(brush: bpy.types.Brush | bpy.types.UnifiedPaintSettings, pixels: int) -> None:
+    """Set the size of a brush, or of the settings that brushes share, on screen."""
+    brush.size = pixels if bpy.app.version >= (5, 0, 0) else max(pixels // 2, 1)
 
 
 def read_node_input(modifier: bpy.types.NodesModifier, name: str) -> object:

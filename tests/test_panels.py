@@ -4,9 +4,13 @@ import importlib
 import inspect
 
 import bpy
+import numpy as np
 import pytest
 
+from farfield.addon.core.photos.previews import CLASS_COLORS, INTERPOLATED, PHOTOGRAPHED, UNBOUND
 from farfield.addon.core.settings import Settings, describe
+from farfield.addon.core.unwrap.distortion import stretch_colors
+from farfield.addon.panels import photos, sidebar, texmesh, unwrap
 from lib import environment
 
 pytestmark = pytest.mark.usefixtures("extension", "empty_scene")
@@ -57,3 +61,15 @@ def test_sub_panels_without_a_setting_that_counts_are_hidden():
     assert shown("restore", "_pixels") == ["pyramid_levels", "order", "coherence"]
     scene.farfield_restore.split = "diffusion"
     assert shown("restore", "_pixels") == [] and shown("restore", "_structure_and_texture") == ["split", "tileable"]
+
+
+def test_legends_have_the_colors_of_their_overlays():
+    icons = {item.identifier for item in bpy.types.UILayout.bl_rna.functions["label"].parameters["icon"].enum_items}
+    assert {icon for legend in (photos.LEGEND, texmesh.LEGEND, unwrap.LEGEND) for icon, _ in legend} <= icons
+    channels = {sidebar.RED: 0, sidebar.GREEN: 1, sidebar.BLUE: 2}
+    for colors, legend in (
+        (stretch_colors(np.array([2.0, 1.0, 0.5])), unwrap.LEGEND),
+        (CLASS_COLORS[[PHOTOGRAPHED, INTERPOLATED, UNBOUND]], photos.LEGEND),
+    ):
+        for color, (icon, _) in zip(colors, legend, strict=True):
+            assert color.argmax() == channels[icon] if icon in channels else color.min() > 0.8

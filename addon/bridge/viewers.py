@@ -104,3 +104,11 @@ def describe_camera_range(scene: bpy.types.Scene, size: float) -> str:
         return ""
     shown = format_length(scene, camera.data.clip_end)
     return f'The camera "{camera.name}" shows nothing beyond {shown}; raise Clip End to {format_length(scene, size)}.'
+
+
+def describe_solid_view() -> str:
+    """Return a sentence if a 3D Viewport shows one color per material; else an empty string."""
+    windows = [] if bpy.app.background else bpy.context.window_manager.windows
+    viewports = (area.spaces.active for window in windows for area in window.screen.areas if area.type == "VIEW_3D")
+    is_solid = any(space.shading.type == "SOLID" and space.shading.color_type == "MATERIAL" for space in viewports)
+    return "Solid view shows the terrain in one color, Material Preview in those of the ground." if is_solid else ""

@@ -15,14 +15,22 @@ def open_file_browser(operator: bpy.types.Operator, context: bpy.types.Context, 
 
     filename: is proposed. folder: where it opens for the first time, by default that of the open file.
     """
-    known = context.window_manager.get(FOLDERS, {}).get(operator.bl_idname)
-    start = Path(known) if known and Path(known).is_dir() else folder or default_folder()
+    start = find_start_folder(operator.bl_idname, context, folder)
     if hasattr(operator, "filepath"):
         operator.filepath = f"{start}{os.sep}{filename}"
     else:
         operator.directory = f"{start}{os.sep}"
     context.window_manager.fileselect_add(operator)
     return {"RUNNING_MODAL"}
+
+
+def find_start_folder(operator_name: str, context: bpy.types.Context, folder: Path | None = None) -> Path:
+    """Return the folder in which an operator opened or wrote a file last, for the first time `folder`, by default that of the open file.
+
+    operator_name: the name of its class.
+    """
+    known = context.window_manager.get(FOLDERS, {}).get(operator_name)
+    return Path(known) if known and Path(known).is_dir() else folder or default_folder()
 
 
 def remember_folder(operator: bpy.types.Operator, context: bpy.types.Context, path: Path) -> None:

@@ -58,6 +58,13 @@ def is_image_editor(context: bpy.types.Context) -> bool:
     return context.space_data is not None and context.space_data.type == "IMAGE_EDITOR"
 
 
+def find_zoom(area: bpy.types.Area, image: bpy.types.Image) -> float:
+    """Return how many pixels on screen are a pixel of `image` in an Image Editor."""
+    view = next(region for region in area.regions if region.type == "WINDOW").view2d
+    (left, _), (right, _) = (view.view_to_region(u, 0.0, clip=False) for u in (0.0, 1.0))
+    return abs(right - left) / max(image.size[0], 1)
+
+
 def remember_editor(context: bpy.types.Context) -> int:
     """Return a number that stands for the Image Editor of `context` as long as it exists, NO_EDITOR if there is none."""
     return context.area.as_pointer() if is_image_editor(context) and context.area is not None else NO_EDITOR

@@ -4,13 +4,13 @@ import bpy
 
 from ..bridge import cameras
 from ..bridge.distance.chains import Chain, read_chains
+from ..bridge.distance.frame_renders import LEVELS, ORIGINALS
 from ..bridge.distance.placing import has_levels, max_errors, shows_levels
 from ..core.distance.settings import DistanceSettings
 from ..core.json_values import parse_json
 from ..core.messages import format_bytes, format_count
 from ..core.settings import describe
 from ..operators.distance.analysis import OUTCOMES
-from ..operators.distance.measuring import LEVELS, ORIGINALS
 from ..operators.distance.operators import (
     FARFIELD_OT_distance_analyze,
     FARFIELD_OT_distance_build,

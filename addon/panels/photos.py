@@ -24,9 +24,22 @@ from ..operators.photos.registration import (
     find_image_problem,
 )
 from ..operators.photos.sources import disabled_reason, find_cameras
-from .sidebar import SettingsPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, settings_column, sub_panels
+from .sidebar import (
+    BLUE,
+    GREEN,
+    RED,
+    SettingsPanel,
+    ToolPanel,
+    draw_button,
+    draw_legend,
+    draw_message,
+    draw_progress_bar,
+    settings_column,
+    sub_panels,
+)
 
 PANEL = "FARFIELD_PT_photos"
+LEGEND = ((GREEN, "In one photograph"), (BLUE, "Only in several together"), (RED, "Partly in no photograph"))
 
 
 class PhotosSettingsPanel(SettingsPanel):
@@ -54,6 +67,8 @@ class FARFIELD_PT_photos(PhotosSettingsPanel, ToolPanel, bpy.types.Panel):
         column.operator(FARFIELD_OT_photos_draw_overlays.bl_idname, text="Draw Overlays", icon="OVERLAY")
         is_shown = coverage_overlay.is_shown
         column.operator(FARFIELD_OT_photos_show_coverage.bl_idname, text="Show Coverage", icon="SHADING_SOLID", depress=is_shown)
+        if is_shown:
+            draw_legend(column, LEGEND)
         column.operator(FARFIELD_OT_photos_refine.bl_idname, text="Refine Cameras", icon="CON_CAMERASOLVER")
         self.draw_settings(context)
         settings_column(layout).prop(context.scene.farfield_photos, "maps")

@@ -11,6 +11,7 @@ from ..core.settings import Description, is_used
 from ..operators import documentation, follow_handlers, following, job_run, long_work, view_following
 from .presets import menu_name
 
+RED, YELLOW, GREEN, BLUE, WHITE = (*(f"COLLECTION_COLOR_0{number}" for number in (1, 3, 4, 5)), "OUTLINER_COLLECTION")  # For legends.
 MESSAGE_WIDTH = 36  # characters per line at the default width of the sidebar
 
 
@@ -186,6 +187,13 @@ def draw_table(layout: bpy.types.UILayout, titles: tuple[str, ...], rows: list[t
         column.label(text=title)
         for row in rows:
             column.label(text=row[index])
+
+
+def draw_legend(layout: bpy.types.UILayout, rows: Sequence[tuple[str, str]]) -> None:
+    """Draw what the colors of an overlay mean: an icon with each color, and its meaning."""
+    column = layout.box().column(align=True)
+    for icon, meaning in rows:
+        column.label(text=meaning, icon=icon)
 
 
 def format_megabytes(count: float) -> str:

@@ -28,8 +28,21 @@ from ..operators.texmesh.operators import (
     disabled_reason,
 )
 from ..operators.texmesh.overlays import FARFIELD_OT_texmesh_overlay, FARFIELD_OT_texmesh_plot, overlay
-from .sidebar import SettingsPanel, SidebarPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, draw_table, sub_panels
+from .sidebar import (
+    BLUE,
+    YELLOW,
+    SettingsPanel,
+    SidebarPanel,
+    ToolPanel,
+    draw_button,
+    draw_legend,
+    draw_message,
+    draw_progress_bar,
+    draw_table,
+    sub_panels,
+)
 
+LEGEND = ((BLUE, "Details, gone at small scales"), (YELLOW, "Remains at the coarsest scale"))
 LEVEL_TITLES = ("Level", "Triangles", "From", "Pixels")
 
 
@@ -124,6 +137,8 @@ class FARFIELD_PT_texmesh_inspect(SettingsPanel, bpy.types.Panel):
         buttons = self.layout.column(align=True)
         buttons.operator(FARFIELD_OT_texmesh_analyze.bl_idname, text="Analyze", icon="VIEWZOOM")
         buttons.operator(FARFIELD_OT_texmesh_overlay.bl_idname, text="Features by Scale", icon="OVERLAY", depress=overlay.is_shown)
+        if overlay.is_shown:
+            draw_legend(buttons, LEGEND)
         buttons.operator(FARFIELD_OT_texmesh_plot.bl_idname, text="Plot", icon="IMAGE_DATA")
         flickers = preview.current.flickers
         buttons.operator(preview.FARFIELD_OT_texmesh_flicker.bl_idname, text="Flicker", icon="UV_SYNC_SELECT", depress=flickers)

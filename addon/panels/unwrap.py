@@ -19,7 +19,7 @@ from ..operators.unwrap.operators import (
     disabled_reason,
     is_unwrapped,
 )
-from .sidebar import SettingsPanel, SidebarPanel, ToolPanel, draw_button, draw_progress_bar, sub_panels
+from .sidebar import BLUE, RED, WHITE, SettingsPanel, SidebarPanel, ToolPanel, draw_button, draw_legend, draw_progress_bar, sub_panels
 
 
 def format_density(density: float) -> str:
@@ -48,6 +48,7 @@ METRICS = (
     ("Min Quality", "min_quality", "{:.3f}".format),
     ("Density Ratio", "density_ratio", "{:.2f}".format),
 )
+LEGEND = ((RED, "Too small in the map: blurred"), (WHITE, "No stretch"), (BLUE, "Too large in the map: smeared"))
 ONLY_IF_SET = {"stacked", "tiles", "density_ratio"}  # Metrics that are not drawn where they are 0 or 1.
 PANEL, EDITOR_PANEL = "FARFIELD_PT_unwrap", "FARFIELD_PT_unwrap_uv_editor"
 
@@ -94,6 +95,8 @@ class UnwrapPanel(UnwrapSettingsPanel, ToolPanel):
             row = layout.row(align=True)
             row.operator(FARFIELD_OT_unwrap_overlay.bl_idname, text="Show Stretch", icon="OVERLAY", depress=overlay.is_shown)
             row.operator(FARFIELD_OT_unwrap_stretch_image.bl_idname, text="", icon="IMAGE_DATA")
+            if overlay.is_shown:
+                draw_legend(layout, LEGEND)
 
 
 class MetricsPanel(SidebarPanel):

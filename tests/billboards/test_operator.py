@@ -17,6 +17,7 @@ from farfield.addon.core.geometry.cameras import choose_level
 from farfield.addon.core.settings import describe
 from farfield.addon.operators import long_work, properties
 from farfield.addon.operators.billboards import estimates
+from farfield.addon.operators.billboards.sources import describe_selection, group_by_parents
 from farfield.addon.panels import billboards as panels
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
@@ -52,6 +53,30 @@ def test_cloud_has_position_and_size_of_source():
     margin = np.sqrt(3.0) * level["farfield_error"]  # A quad is half an error larger on each side, and the cube is rotated.
     assert np.ptp(world[0], axis=0) == pytest.approx(np.ptp(world[1], axis=0), abs=margin)
     assert world[0].mean(axis=0) == pytest.approx(world[1].mean(axis=0), abs=0.05)
+
+
+def test_objects_that_are_parented_to_each_other_become_one_cloud():
+    trunk, crown, rock = cube("Trunk"), cube("Crown", location=(0.0, 0.0, 2.0)), cube("Rock", location=(9.0, 0.0, 0.0))
+    crown.parent = trunk
+    select(crown, trunk, rock)
+    assert describe_selection(bpy.context, False) == "2 clouds, one per object with its children."
+    build(levels=1, error=0.2)
+    assert {cloud.collection.name: sorted(source.name for source in cloud.sources) for cloud in clouds_in(bpy.context.scene)} == {
+        "Trunk Cloud": ["Crown", "Trunk"],
+        "Rock Cloud": ["Rock"],
+    }
+
+
+def test_meshes_of_one_armature_become_one_cloud_and_those_of_an_empty_do_not():
+    rig, empty = (bpy.data.objects.new(name, data) for name, data in (("Rig", bpy.data.armatures.new("Rig")), ("Empty", None)))
+    for parent, expected in ((rig, 1), (empty, 2)):
+        bpy.context.scene.collection.objects.link(parent)
+        objects = [cube(f"{parent.name} {index}", location=(3.0 * index, 0.0, 0.0)) for index in range(2)]
+        for item in objects:
+            item.parent = parent
+        assert len(group_by_parents(objects)) == expected
+        select(*objects)
+        assert describe_selection(bpy.context, False).startswith(("One cloud of 2 objects", "2 clouds")[expected - 1])
 
 
 def test_one_cloud_per_selected_object_or_one_of_all():

@@ -17,7 +17,8 @@ import btf
 from bridge import blender_scenes
 from bridge.bakes import SMALL, build_small_cloud, copy_finished_views, finished_views, finished_views_of_small_cloud, prepare_job
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, clouds_in
-from farfield.addon.bridge.btf.capture.snapshot import METADATA_FILE, may_run_python_drivers, open_snapshot
+from farfield.addon.bridge.btf.capture.snapshot import METADATA_FILE, open_snapshot
+from farfield.addon.bridge.snapshots import may_run_python_drivers
 from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.files import user_folders
@@ -147,9 +148,9 @@ def test_a_run_that_ends_leaves_no_snapshot(cloud, tmp_path):
 
 
 def test_a_snapshot_that_cannot_be_written_is_one_sentence(cloud, tmp_path, monkeypatch):
-    from farfield.addon.bridge.btf.capture import snapshot
+    from farfield.addon.bridge import snapshots
 
-    monkeypatch.setattr(snapshot, "is_complete_blend", lambda _: False)  # as on a full disk, which Blender does not report
+    monkeypatch.setattr(snapshots, "is_complete_blend", lambda _: False)  # as on a full disk, which Blender does not report
     with pytest.raises(FileError, match="snapshot for the workers cannot be written") as raised:
         prepare_job(cloud, tmp_path)
     assert "free some space there." in str(raised.value) and "\n" not in str(raised.value)

@@ -94,6 +94,13 @@ def test_unset_properties_come_from_the_panel():
     assert (terrain.settings.terrain, terrain.settings.boxes, terrain.settings.seed) == ("islands", 2, 9)
 
 
+def test_solid_view_shows_the_color_of_the_ground():
+    terrain = create()
+    shown, grass = terrain.material.diffuse_color, ground_group(terrain).inputs["Grass"].default_value
+    assert shown[1] > 1.2 * shown[0] > 2.0 * shown[2], "grass is green"
+    assert [shown[i] / grass[i] for i in range(3)] == pytest.approx([shown[0] / grass[0]] * 3), "it has the hue that renders have"
+
+
 def test_update_rebuilds_the_terrain_and_keeps_its_material():
     camera_at(0.0, 0.0, 20.0)
     terrain = create()

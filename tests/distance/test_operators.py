@@ -9,10 +9,11 @@ import pytest
 from distance_scenes import add_box, add_camera, add_scatter, describe_file, rendered, shown
 from farfield.addon.bridge.distance import simplified_meshes
 from farfield.addon.bridge.distance.chains import read_chains
+from farfield.addon.bridge.distance.frame_renders import BLEND_FILE
 from farfield.addon.bridge.distance.level_switch import MAX_ERROR, level_modifiers
 from farfield.addon.bridge.distance.placing import QUADS
 from farfield.addon.bridge.geometry.mesh_arrays import read_attribute, write_attribute
-from farfield.addon.compat import enable_nodes, read_node_input
+from farfield.addon.compat import compositor_trees, enable_nodes, read_node_input
 from farfield.addon.core.billboards.settings import BillboardSettings
 from farfield.addon.core.distance import levels as core_levels
 from farfield.addon.core.distance.settings import DistanceSettings
@@ -22,6 +23,7 @@ from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.operators.distance import build as distance_build
 from farfield.addon.operators.distance.analysis import Plan, describe_weight
 from farfield.addon.operators.distance.job import prepare
+from farfield.addon.operators.distance.measuring import prepare as prepare_measurement
 from farfield.addon.operators.job_run import run_job
 from textured_scenes import textured_ball
 
@@ -339,6 +341,13 @@ def test_a_budget_raises_the_error_until_levels_fit(camera, budget):
         assert "The budget is too small" in message, "all levels have the image of the ball"
 
 
+def test_drivers_run_without_permission_for_python(camera):
+    add_ball(300.0)
+    build(**QUICK)
+    drivers = [curve.driver for group in bpy.data.node_groups if group.animation_data for curve in group.animation_data.drivers]
+    assert len(drivers) == 3 and all(driver.is_valid and driver.is_simple_expression for driver in drivers)
+
+
 def test_a_measurement_renders_both_and_changes_nothing(camera):
     ball = add_ball(300.0)
     ball.scale = (30.0, 30.0, 30.0)
@@ -353,6 +362,39 @@ def test_a_measurement_renders_both_and_changes_nothing(camera):
     assert shown() == levels and describe_file() == before
     bpy.ops.farfield.distance_remove()
     assert not scene.farfield_distance.figures
+
+
+def test_a_measurement_that_is_cancelled_ends_its_process_and_deletes_its_copy_of_the_scene(camera):
+    add_ball(300.0)
+    build(**QUICK)
+    before = describe_file()
+    job = prepare_measurement(bpy.context.scene)
+    assert (job.folder / BLEND_FILE).exists()
+    steps = run_job(job)
+    assert next(steps).label == "Starting to render"
+    steps.close()
+    assert not job.folder.exists() and describe_file() == before
+
+
+def test_a_measurement_writes_no_file_of_the_compositor(camera, tmp_path):
+    add_ball(300.0)
+    build(**QUICK)
+    scene = bpy.context.scene
+    scene.render.engine, scene.cycles.samples, scene.render.resolution_percentage = "CYCLES", 1, 5
+    if hasattr(scene, "compositing_node_group"):
+        scene.compositing_node_group = bpy.data.node_groups.new("Compositor", "CompositorNodeTree")
+    else:
+        scene.use_nodes = True
+    (tree,) = dict.fromkeys(compositor_trees(scene))
+    node, layers = tree.nodes.new("CompositorNodeOutputFile"), tree.nodes.new("CompositorNodeRLayers")
+    if hasattr(node, "directory"):
+        node.directory = str(tmp_path)
+        node.file_output_items.new("RGBA", "Image")
+    else:
+        node.base_path = str(tmp_path)
+    tree.links.new(layers.outputs["Image"], node.inputs[0])
+    bpy.ops.farfield.distance_measure()
+    assert scene.farfield_distance.figures and list(tmp_path.iterdir()) == [] and not node.mute
 
 
 def test_a_scene_without_anything_heavy_is_refused(camera):

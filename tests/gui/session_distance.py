@@ -98,11 +98,21 @@ def session() -> Iterator[float]:
     yield 1.0
 
     scene = bpy.context.scene
-    scene.render.engine, scene.cycles.samples, scene.render.resolution_percentage = "CYCLES", 2, 20
+    scene.render.engine, scene.cycles.samples, scene.render.resolution_percentage = "CYCLES", 4096, 100
+    x, y = yield from user.press_and_start("farfield.distance_measure")
+    yield from wait_for_job(until_fraction=0.01)
+    yield 1.0
+    save_screenshot("4-measuring")
+    results["fraction_at_esc"] = current_job().progress.fraction if current_job() else 1.0
+    user.press("ESC", x, y)
+    yield from wait_for_job()
+    results["figures_of_cancelled"] = settings.figures
+
+    scene.cycles.samples, scene.render.resolution_percentage = 2, 20
     yield from user.press_and_start("farfield.distance_measure")
     yield from wait_for_job()
     yield 2.0
-    save_screenshot("4-measured")
+    save_screenshot("5-measured")
     scene.render.resolution_percentage = 100
     results["figures"], results["instances_after"] = settings.figures, instances()
 
@@ -114,7 +124,7 @@ def session() -> Iterator[float]:
     user.press("LEFTMOUSE", x, y)
     yield 2.0
     results["followed"] = instances()
-    save_screenshot("5-followed")
+    save_screenshot("6-followed")
     user.press("LEFTMOUSE", x, y)
     yield 1.0
     results["not_followed"] = instances()

@@ -23,14 +23,14 @@ def session() -> Iterator[float]:
     open_panel_alone("packages")
     yield from user.open_sidebar()
     results["objects_before"] = len(bpy.data.objects)
-    package.folder = str(FOLDER / "package été")
+    bpy.ops.wm.save_as_mainfile(filepath=str(FOLDER / "scène.blend"))
     yield 0.5
     save_screenshot("1-panel")
     yield from user.press_and_start("farfield.packages_export")
     results["fractions"] = yield from wait_for_job()
     yield 1.0
     save_screenshot("2-exported")
-    results["files"] = sorted(path.name for path in (FOLDER / "package été").iterdir())
+    results["files"] = sorted(path.name for path in (FOLDER / "Cube package").iterdir())
     results["objects_after"] = len(bpy.data.objects)
 
 

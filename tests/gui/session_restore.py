@@ -113,8 +113,11 @@ def session() -> Iterator[float]:
     x, y = yield from user.find_button("farfield.restore_mask")
     user.press("LEFTMOUSE", x, y)
     yield 2.0
+    tools = bpy.context.tool_settings
+    left, right = user.window_position(0.0, 0.0)[0], user.window_position(1.0, 0.0)[0]
+    results["brush"] = module("addon.compat").image_paint_settings(tools).size / (right - left)
     results["mask"] = {"name": user.shown.name, "mode": user.area.spaces.active.ui_mode}
-    for row in (160, 180):
+    for row in (152, 164, 176, 188):
         yield from user.paint((50 / SIDE, row / SIDE), (450 / SIDE, row / SIDE))
     mask = user.shown
     results["painted"] = float((read(mask)[..., 0] > 0.5).mean())
@@ -171,6 +174,13 @@ def session() -> Iterator[float]:
     results["same_pixels_after_redo"] = user.shown is not None and bool(np.array_equal(read(user.shown), restored))
     save_screenshot("9-redone")
 
+    yield from user.press_and_start("farfield.restore_image")
+    yield from wait_for_job()
+    yield 2.0
+    results["replaced"] = {"images": scene_state()["images"], "used": wall_image(), "shown": shown_name(user)}
+    yield from user.press_undo()
+    yield 2.0
+    results["former_is_back"] = {"shown": shown_name(user), "same": bool(np.array_equal(read(user.shown), restored))}
     yield from user.press_and_start("farfield.restore_variant")
     yield from wait_for_job()
     yield 2.0

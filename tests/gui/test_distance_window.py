@@ -39,6 +39,11 @@ def test_the_button_shows_the_originals(results):
     assert results["originals"] == []
 
 
+def test_esc_cancels_a_measurement_during_a_render(results):
+    assert 0.0 < results["fraction_at_esc"] < 0.5, "Esc was not pressed during the first of the two renders"
+    assert results["figures_of_cancelled"] == ""
+
+
 def test_a_measurement_shows_its_figures_and_leaves_the_levels(results):
     assert set(json.loads(results["figures"])) == {"frames", "flip", "originals", "levels"}
     assert results["instances_after"] == results["instances"]

@@ -22,6 +22,10 @@ def test_create_mask_opens_it_for_painting(results):
     assert results["mask"] == {"name": f"{NAME} mask", "mode": "PAINT"}
 
 
+def test_the_brush_is_a_small_part_of_the_image(results):
+    assert results["brush"] == pytest.approx(0.04, rel=0.1)
+
+
 def test_strokes_mark_the_scratch_in_white(results):
     assert results["covered"] > 0.95 and results["painted"] < 0.35
 
@@ -57,6 +61,13 @@ def test_one_undo_removes_the_result(results):
 def test_the_editor_shows_the_photograph_after_undo_and_the_result_after_redo(results):
     assert results["after_undo"]["shown"] == NAME
     assert results["after_redo"] == {"shown": f"{NAME} restored", "used": f"{NAME} restored"} and results["same_pixels_after_redo"]
+
+
+def test_restore_replaces_its_result_and_undo_brings_it_back(results):
+    name = f"{NAME} restored"
+    assert results["replaced"]["images"].count(name) == 1 and f"{name}.001" not in results["replaced"]["images"]
+    assert results["replaced"]["shown"] == results["replaced"]["used"] == name
+    assert results["former_is_back"] == {"shown": name, "same": True}
 
 
 def test_undo_and_redo_step_through_several_results(results):

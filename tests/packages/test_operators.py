@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from pathlib import Path
 
 import bpy
 import numpy as np
@@ -13,6 +14,8 @@ from farfield.addon.core.errors import FileError, SettingsError
 from farfield.addon.core.packages.files import LEVELS_GLB, read_package, read_page
 from farfield.addon.core.packages.manifest import MANIFEST, MESH, TEXTURES
 from farfield.addon.core.packages.textures.coding import decode_textures
+from farfield.addon.operators.file_browser import FOLDERS
+from farfield.addon.operators.packages.operators import propose_folder
 from glb_reader import read_glb
 from lib import command_line, scene_files
 from textured_scenes import textured_ball
@@ -53,6 +56,22 @@ def package(two_packages):
     return two_packages / "Bäll_chen"
 
 
+def test_a_folder_is_proposed_next_to_the_file_and_then_next_to_the_package_before(tmp_path):
+    ball = textured_ball(4, "Bäll:1")
+    ball.select_set(True)
+    bpy.context.window_manager.pop(FOLDERS, None)
+    assert propose_folder(bpy.context).parent == Path.home()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "été.blend"))
+    assert propose_folder(bpy.context) == tmp_path / "Bäll_1 package"
+    (tmp_path / "other").mkdir()
+    assert bpy.ops.farfield.packages_export(folder="//other/first", **SMALL) == {"FINISHED"}
+    assert bpy.ops.farfield.packages_export(**SMALL) == {"FINISHED"}
+    assert read_package(tmp_path / "other" / "Bäll_1 package").manifest.name == "Bäll:1"
+    textured_ball(4, "second")
+    ball.select_set(True)
+    assert propose_folder(bpy.context) == tmp_path / "other" / "packages"
+
+
 def test_a_package_of_an_object(package):
     assert {path.name for path in package.iterdir()} == {MANIFEST, MESH, TEXTURES, LEVELS_GLB, *read_page()}
     content = read_package(package)
@@ -90,12 +109,6 @@ def test_several_objects_have_folders_and_equal_ones_the_same_bytes(two_packages
 def test_settings_that_packages_determine_are_no_properties():
     names = set(bpy.ops.farfield.packages_export.get_rna_type().properties.keys())
     assert {"levels", "drastic_simplification", "pixels"} <= names and "vertices" not in names
-
-
-def test_a_folder_is_needed():
-    textured_ball(8)
-    with pytest.raises(RuntimeError, match="set Folder"):
-        bpy.ops.farfield.packages_export(**SMALL)
 
 
 def test_mirrors_must_be_urls(folder):

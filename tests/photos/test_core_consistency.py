@@ -30,7 +30,7 @@ def rate(change=None, count=5, visible=None, noise=0.01, seed=0):
         change(x, y, colors)
     shown = np.ones((count, POINTS), bool) if visible is None else visible(x, y)
     observed = observations(decode_signed_srgb(colors), shown, np.broadcast_to(positions, (count, POINTS, 2)))
-    return rate_photographs(observed, observed.colors, [FRAME] * count)
+    return run_to_end(rate_photographs(observed, observed.colors, [FRAME] * count))
 
 
 def cells(condition):

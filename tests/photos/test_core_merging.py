@@ -41,6 +41,19 @@ class TestMerge:
         assert seen[margin:-margin, margin:-margin].all() and not (result.holes & seen).any()
         assert np.sqrt(np.mean((result.colors - texture)[seen] ** 2)) < 0.01
 
+    @pytest.mark.parametrize("method", ["average", "best"])
+    def test_progress_grows_with_each_photograph_and_in_every_stage(self, method):
+        mesh, uvs = grid(4)
+        photographs = [photograph(mesh, uvs, smooth_texture(), camera) for camera in ring(6)]
+        steps = []
+        run_to_end(merge(mesh, uvs, photographs, PhotosSettings(size=SIZE, method=method)), steps.append)
+        fractions = [step.fraction for step in steps]
+        assert fractions == sorted(fractions) and fractions[-1] <= 1.0
+        labels = ["Finding visible faces", "Comparing photographs", "Computing texels", "Comparing texture and photographs", "Sharpening"]
+        for label in labels + ["Choosing photographs"] * (method == "best"):
+            count = len({step.fraction for step in steps if step.label == label})
+            assert count >= (1 if label in ("Computing texels", "Sharpening") else 6), label
+
     @pytest.mark.parametrize(
         "method", ["best", pytest.param("average", marks=pytest.mark.exhaustive), pytest.param("paper", marks=pytest.mark.exhaustive)]
     )
@@ -250,7 +263,7 @@ class TestLabels:
         qualities = 1.0 + 0.1 * random.random((len(mesh.triangles), 3))
         edges = find_edges(mesh.triangles)
         first, second = (edges.interior_halfedges // 3).T
-        labels, best = choose_labels(qualities, edges), qualities.argmax(axis=1)
+        labels, best = run_to_end(choose_labels(qualities, edges)), qualities.argmax(axis=1)
         assert (labels[first] != labels[second]).mean() < 0.1 < 0.5 < (best[first] != best[second]).mean()
 
     def test_large_advantages_win_and_unseen_triangles_have_none(self):
@@ -258,7 +271,7 @@ class TestLabels:
         left = mesh.corners[..., 0].mean(axis=1) < 0
         qualities = np.where(left[:, None], [8.0, 1.0], [1.0, 8.0])
         qualities[:3] = 0.0
-        labels = choose_labels(qualities, find_edges(mesh.triangles))
+        labels = run_to_end(choose_labels(qualities, find_edges(mesh.triangles)))
         assert (labels[:3] == -1).all()
         assert (labels[3:] == np.where(left[3:], 0, 1)).mean() > 0.97
 
@@ -266,7 +279,7 @@ class TestLabels:
         mesh, _ = grid(10)
         random = np.random.default_rng(2)
         qualities = random.random((len(mesh.triangles), 4)) * (random.random((len(mesh.triangles), 4)) < 0.4)
-        labels = choose_labels(qualities, find_edges(mesh.triangles))
+        labels = run_to_end(choose_labels(qualities, find_edges(mesh.triangles)))
         seen = qualities.max(axis=1) > 0
         assert (qualities[np.flatnonzero(seen), labels[seen]] > 0).all()
 

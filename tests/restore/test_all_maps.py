@@ -110,7 +110,7 @@ class TestOperator:
 
         restore_all(**TEXTURE)
         together = deviation(bpy.data.images["color restored"], bpy.data.images["height restored"])
-        assert bpy.ops.farfield.restore_image(image="height", mask_image="mask", seed=5, **TEXTURE) == {"FINISHED"}
+        assert bpy.ops.farfield.restore_image(image="height", mask_image="mask", seed=5, keep_result=True, **TEXTURE) == {"FINISHED"}
         separate = deviation(bpy.data.images["color restored"], bpy.data.images["height restored.001"])
         assert together < 0.003 < 0.03 < separate
         assert 'as "color restored", with 2 other maps of its material.' in capfd.readouterr().out
@@ -132,8 +132,8 @@ class TestOperator:
         assert (read(bpy.data.images["normals restored"])[..., 3] == 1.0).all()
 
     def test_all_are_replaced_and_restored_again_from_their_originals(self, maps):
-        for suffix in ("", ".001"):
-            restore_all(replace_in_materials=True, **FAST)
+        for keep_result, suffix in ((False, ""), (False, ""), (True, ".001")):
+            restore_all(replace_in_materials=True, keep_result=keep_result, **FAST)
             assert {name: node.image.name for name, node in maps.items()} == {name: f"{name} restored{suffix}" for name in maps}
             normals = read(maps["normals"].image)[square()][:, :3]
             assert np.linalg.norm(2.0 * normals - 1.0, axis=1) == pytest.approx(1.0, abs=1e-4)
@@ -200,7 +200,9 @@ class TestOperator:
             with pytest.raises(RuntimeError):
                 restore_all(**FAST)
         assert sorted(image.name for image in bpy.data.images) == names
-        job = prepare(bpy.context, "color", MaskSettings(mask_image="mask", all_maps_of_material=True), RestoreSettings(**FAST))
+        job = prepare(
+            bpy.context, "color", MaskSettings(mask_image="mask", all_maps_of_material=True), RestoreSettings(**FAST), replaces_results=True
+        )
         steps = job.scene_steps(run_to_end(job.core_steps()))
         next(steps), next(steps)
         assert len(bpy.data.images) == len(names) + 1

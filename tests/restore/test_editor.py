@@ -151,7 +151,7 @@ def test_before_and_after_switch_between_original_and_newest_result(editor):
     assert not bpy.ops.farfield.restore_compare.poll()
     bpy.ops.farfield.restore_image(mask_image="mask", **FAST)
     area.spaces.active.image = source
-    bpy.ops.farfield.restore_image(mask_image="mask", **FAST)
+    bpy.ops.farfield.restore_image(mask_image="mask", keep_result=True, **FAST)
     newest = shown(area)
     assert newest.name == "source restored.001"
     for expected in (source, newest, source):
@@ -207,8 +207,8 @@ def test_a_shown_result_is_restored_again_from_the_original(editor):
     _, node = add_material("wall", source)
     bpy.ops.farfield.restore_mask()
     shown(area).pixels.foreach_set(np.dstack([hole()] * 3 + [np.ones((HEIGHT, WIDTH))]).astype(np.float32).ravel())
-    for name in ("source restored", "source restored.001"):
-        assert bpy.ops.farfield.restore_image(replace_in_materials=True, **FAST) == {"FINISHED"}
+    for keep_result, name in ((False, "source restored"), (False, "source restored"), (True, "source restored.001")):
+        assert bpy.ops.farfield.restore_image(replace_in_materials=True, keep_result=keep_result, **FAST) == {"FINISHED"}
         assert shown(area).name == node.image.name == name and shown(area)[ORIGINAL_PROPERTY] == source
     result = shown(area)
     assert find_target(result, group) == source

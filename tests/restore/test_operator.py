@@ -4,6 +4,7 @@ import bpy
 import numpy as np
 import pytest
 
+from farfield.addon.bridge.restore.image_users import ORIGINAL_PROPERTY, create_mask, list_restored
 from farfield.addon.compat import enable_nodes
 from restore_images import FAST, HEIGHT, HOLE, WIDTH, hole, new_image, new_mask, ramp, read, restore
 
@@ -165,7 +166,7 @@ def test_equal_seeds_give_equal_bytes_and_settings_come_from_the_panel():
     results = []
     for arguments in ({}, {}, {"split": "diffusion"}):
         assert bpy.ops.farfield.restore_image(image="source", **arguments) == {"FINISHED"}
-        results.append(read(bpy.data.images[f"source restored.{len(results):03}" if results else "source restored"]))
+        results.append(read(bpy.data.images["source restored"]))
     assert np.array_equal(results[0], results[1]) and not np.array_equal(results[0], results[2])
 
 
@@ -236,3 +237,56 @@ def test_gray_and_opaque_files_are_read(tmp_path):
             new_mask()
         result = read(restore(image.name))
         assert np.array_equal(result[~hole()][:, :3], read(image)[~hole()][:, :3])
+
+
+class TestReplacedResults:
+    """Restore replaces its last result only if nothing has happened to it."""
+
+    def restore_again(self, change=None, **arguments):
+        """Restore twice with a `change` of the result in between; return the names of all results."""
+        source = new_image("source", damaged(ramp()))
+        new_mask()
+        result = restore("source")
+        if change is not None:
+            change(result)
+        bpy.ops.farfield.restore_image(image="source", mask_image="mask", **(FAST | arguments))
+        return [image.name for image in list_restored(source)]
+
+    def test_users_and_name_of_the_former_result_are_those_of_the_new_one(self):
+        texture = bpy.data.textures.new("own", "IMAGE")
+
+        def use(result):
+            texture.image = result
+
+        assert self.restore_again(use) == ["source restored"]
+        assert texture.image == bpy.data.images["source restored"]
+
+    def test_a_result_that_is_kept_stays_when_restored_again(self):
+        assert len(self.restore_again(keep_result=True)) == 2
+        bpy.ops.farfield.restore_image(image="source", mask_image="mask", **FAST)
+        assert len(list_restored(bpy.data.images["source"])) == 3, "the last result was asked for in addition"
+
+    @pytest.mark.parametrize("change", ["paint", "paint and pack", "rename", "save", "mask", "restore"])
+    def test_what_was_changed_saved_or_used_stays(self, change, tmp_path):
+        changed = []
+
+        def apply(result):
+            if change.startswith("paint"):
+                result.pixels[0] = 0.123
+                result.update()
+            if change == "paint and pack":
+                result.pack()
+            elif change == "rename":
+                result.name = "source restored well"
+            elif change == "save":
+                result.filepath_raw = str(tmp_path / "saved.png")
+                result.save()
+            elif change == "mask":
+                create_mask(result)
+            elif change == "restore":
+                bpy.data.images.new("further", 8, 8)[ORIGINAL_PROPERTY] = result
+            changed.append((result.name, read(result)))
+
+        names = self.restore_again(apply)
+        assert len(names) == 2 and names[0] == changed[0][0]
+        assert np.array_equal(read(bpy.data.images[names[0]]), changed[0][1])

@@ -7,7 +7,7 @@ import bpy
 
 from ...core.bdam.textures.tile_blocks import CodedTile
 from ..shading.node_builder import NodeBuilder, create_node_material, ensure_shared_group
-from ..shading.solid_view import show_image
+from ..shading.solid_view import show_color, show_image
 
 GROUND_GROUP, GROUND_VERSION = "Farfield Terrain Ground", 1
 LEVEL_ATTRIBUTE = "terrain_level"  # attribute of faces: the level of the patch
@@ -36,6 +36,7 @@ def create_material(name: str, shading: str, root: bpy.types.Object, heights: tu
     """
     material, builder = create_node_material(name)
     material[MATERIAL_KEY] = shading
+    show_color(material, MAP_COLORS[1][1] if shading == "height" else GRASS)
     if shading == "level":
         color = _color_by_level(builder)
     else:

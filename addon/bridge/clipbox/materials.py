@@ -9,6 +9,7 @@ import numpy as np
 from ...core.errors import FileError
 from ..imaging.images import create_image
 from ..shading.node_builder import NodeBuilder, SocketOrValue, create_node_material, ensure_shared_group
+from ..shading.solid_view import show_color
 
 GROUP_NAME = "Farfield Ground"
 GROUP_VERSION = 1
@@ -101,8 +102,10 @@ def create_terrain_material(
     )  # fmt: skip
     builder.connect(grain_position, grain.inputs["Vector"])
     group = builder.node("ShaderNodeGroup", {"node_tree": _ensure_ground_group(), "width": 200.0})
-    for socket, value in (DEFAULTS | (FOREST_DEFAULTS if is_forest else {})).items():
+    values = DEFAULTS | (FOREST_DEFAULTS if is_forest else {})
+    for socket, value in values.items():
         group.inputs[socket].default_value = value
+    show_color(material, values["Grass"])
     group.inputs["Size"].default_value = size
     group.inputs["Snow Height"].default_value, group.inputs["Sand Height"].default_value = high + SNOW_LINE * size, low
     if ground_image is not None:

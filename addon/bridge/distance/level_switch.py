@@ -17,15 +17,16 @@ from ..lod_crossfade import CONSTANT, GROWTH, INSTANCE_CAMERA, INSTANCE_PIXEL, P
 from ..objects import drive_by_scene
 from ..shading.node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
 
-NAME, VERSION = "Farfield Levels by Distance", 5
-VIEW_NAME, VIEW_VERSION = "Farfield Active Camera", 2
+NAME, VERSION = "Farfield Levels by Distance", 6
+VIEW_NAME, VIEW_VERSION = "Farfield Active Camera", 3
 TREE = "GeometryNodeTree"
 MAX_ERROR = "Max Error"  # Input of the modifiers: what a level may leave out, in pixels.
 SEPARATION = 1e-5  # Of the distance, by which levels that fade are moved apart: where surfaces coincide, Cycles misses one of them.
 TINY_BOX = 1e-20  # Size of the bounding box of an instance that has only other instances.
 MAX_NESTING = 4  # Levels of instances of instances, such as of a collection with collections.
-# The tangent of the angle between the view direction and the corners of the image; as large as possible where everything may be seen.
-DIAGONAL = f"1e6 if t!=0 else tan(a/2)/{PIXELS}*hypot(x,y)*p/100+hypot(i,j)*2*tan(a/2)"
+# The tangent of the angle between the view direction and the corners of the image; as large as possible where everything may be seen. Only
+# the functions of simple expressions, without hypot: Blender would not run another driver of a file from elsewhere.
+DIAGONAL = f"1e6 if t!=0 else tan(a/2)/{PIXELS}*sqrt(x*x+y*y)*p/100+sqrt(i*i+j*j)*2*tan(a/2)"
 VIEW_VALUES = {"Growth": GROWTH, "Constant": CONSTANT, "Diagonal": DIAGONAL}
 VIEW_PATHS = SCENE_PATHS | {"i": "camera.data.shift_x", "j": "camera.data.shift_y"}
 # Values of the view that a viewport shows instead of that of the active camera, while it follows the user's: 1, the position, and sizes.

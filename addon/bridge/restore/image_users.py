@@ -1,13 +1,15 @@
 """Where an image is used: normal maps, replacement in materials, new masks, and links between original, mask and restored image."""
 
+import hashlib
 from collections.abc import Iterator
 
 import bpy
 
-from ...compat import image_paint_settings
+from ...compat import image_paint_settings, set_brush_diameter
 
 ORIGINAL_PROPERTY = "farfield_original"  # the property of a restored image that points to its original
 MASKED_PROPERTY = "farfield_masked"  # the property of a mask that points to its image
+RESULT_PROPERTY = "farfield_result"  # the property of a result that Restore may replace: its digest, see `mark_replaceable`
 MASK_SUFFIX = " mask"
 BLACK, WHITE = (0.0, 0.0, 0.0, 1.0), (1.0, 1.0, 1.0)
 
@@ -27,6 +29,28 @@ def list_restored(original: bpy.types.Image) -> list[bpy.types.Image]:
     """Return the images that were restored from `original`, the oldest first."""
     found = [image for image in bpy.data.images if read_image_property(image, ORIGINAL_PROPERTY) == original]
     return sorted(found, key=lambda image: image.session_uid)
+
+
+def mark_replaceable(result: bpy.types.Image) -> None:
+    """Let the next restoration replace `result`, unless it is saved, renamed, painted or used for another restoration before."""
+    result[RESULT_PROPERTY] = _digest(result)
+
+
+def find_replaceable(original: bpy.types.Image) -> bpy.types.Image | None:
+    """Return the newest result of `original` if a restoration may replace it, otherwise None."""
+    result = find_restored(original)
+    if result is None or RESULT_PROPERTY not in result or not _is_editable(result) or result.is_dirty:
+        return None
+    links = (read_image_property(image, name) for image in bpy.data.images for name in (ORIGINAL_PROPERTY, MASKED_PROPERTY))
+    return result if result not in links and result[RESULT_PROPERTY] == _digest(result) else None
+
+
+def take_place(former: bpy.types.Image, new: bpy.types.Image) -> None:
+    """Let `new` have the users and the name of `former`, which is removed."""
+    name = former.name
+    former.user_remap(new)
+    bpy.data.images.remove(former)
+    new.name = name
 
 
 def list_maps(image: bpy.types.Image) -> list[bpy.types.Image]:
@@ -91,6 +115,21 @@ def set_brush_color(tools: bpy.types.ToolSettings, color: tuple[float, float, fl
     brush = tools.image_paint.brush
     if brush is not None and brush.is_editable:
         brush.color = color
+
+
+def set_brush_size(tools: bpy.types.ToolSettings, diameter: int) -> None:
+    """Give the brushes that paint images this diameter on screen in pixels: the one that they share, and that of the active brush."""
+    brush = tools.image_paint.brush
+    for each in (image_paint_settings(tools), *([brush] if brush is not None and brush.is_editable else [])):
+        set_brush_diameter(each, diameter)
+
+
+def _digest(image: bpy.types.Image) -> str:
+    """Return what differs once an image is renamed, saved to a file or packed with other pixels."""
+    digest = hashlib.sha256(f"{image.name}\n{image.filepath}".encode("utf-8", "surrogatepass"))
+    for file in image.packed_files:
+        digest.update(file.packed_file.data)
+    return digest.hexdigest()
 
 
 def _node_trees() -> Iterator[tuple[bpy.types.ID, bpy.types.NodeTree]]:

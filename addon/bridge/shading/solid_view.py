@@ -1,12 +1,16 @@
-"""Selects the image that a material shows in Solid views whose color is *Texture*.
+"""Selects the image that a material shows in Solid views whose color is *Texture*, and the color in others.
 
 Blender shows the image of the active texture node of a material, and without one that of any texture node, which may be a lookup table.
 """
+
+from collections.abc import Sequence
 
 import bpy
 
 from .color_textures import find_color_textures
 from .surface_reader import find_output
+
+BRIGHTNESS = 2.5  # Of colors in Solid views, whose light is darker than that of a Sun.
 
 
 def show_image(material: bpy.types.Material, image: bpy.types.Image | None) -> None:
@@ -54,3 +58,9 @@ def _activate(tree: bpy.types.NodeTree, node: bpy.types.Node) -> None:
     for item in tree.nodes:
         item.show_texture = item == node and node.type != "GROUP"  # A group with this would count as a node without an image.
     tree.nodes.active = node
+
+
+def show_color(material: bpy.types.Material, color: Sequence[float]) -> None:
+    """Let Solid views show a scene-linear `color` (3,) for a material that has no image, without highlights."""
+    material.diffuse_color = (*(min(BRIGHTNESS * channel, 1.0) for channel in color[:3]), 1.0)
+    material.roughness = 1.0

@@ -44,7 +44,8 @@ class BuildOptions(Settings):
 
     combine_selected: bool = setting(
         False,
-        "Build one cloud of all selected objects, with shared textures, instead of one per object",
+        "Build one cloud of all selected objects, with shared textures. Otherwise each object gets its own, together with selected objects "
+        "that are parented to it or to the same armature",
         panel_label="One Cloud for All",
     )
     keep_original_visible: bool = setting(

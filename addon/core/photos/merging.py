@@ -6,7 +6,7 @@ between such regions are blended. Details are sharpened by comparison with the p
 """
 
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -30,7 +30,7 @@ from .previews import CLASS_COLORS, classify_texels, draw_trust
 from .registration.alignment import align
 from .settings import PhotosSettings
 from .texels.blending import BlendedSurface, blend_gradients, blend_labels, blend_masks, blend_windows, shrink_masks
-from .texels.face_visibility import VISIBLE, order_by_corner
+from .texels.face_visibility import VISIBLE, ShownSurface, find_visible_faces, order_by_corner
 from .texels.hole_filling import HoleCounts, HoleFiller
 from .texels.hole_interpolation import interpolate_colors, interpolate_holes
 from .texels.pages import check_overlaps, check_texel_count
@@ -40,6 +40,22 @@ from .texels.sharpening import estimate_noise, find_residuals, sharpen_colors
 from .texels.texel_map import TexelMap
 
 GUTTER = 8  # texels around covered ones that get the mean of their neighbors
+FACES_END, RESIDUALS_END = 0.05, 0.25  # fractions of the stages that compute and that sharpen texels
+
+
+@dataclass(frozen=True)
+class StageEnds:
+    """The fractions of the progress at which the stages of `merge` end, by the time that they take."""
+
+    visibility: float = 0.03
+    exposure: float = 0.09
+    alignment: float = 0.11
+    labels: float = 0.13
+    texels: float = 0.5
+    sharpening: float = 0.93
+
+
+STAGES = StageEnds()
 
 
 def merge(
@@ -78,29 +94,27 @@ def merge(
 
 def _merge(merger: "_Merger") -> Steps[PhotoTexture]:
     clock, settings = merger.clock, merger.settings
-    yield from merger.look()
-    yield Progress(0.2, "Comparing photographs")
+    yield from subprogress(merger.look(), 0.0, STAGES.visibility)
     with clock.stage("exposure"):
-        merger.compare()
+        yield from subprogress(merger.compare(), STAGES.visibility, STAGES.exposure)
     if settings.alignment:
         with clock.stage("alignment"):
-            yield from subprogress(merger.align(), 0.25, 0.3)
-    yield Progress(0.3, "Choosing photographs")
+            yield from subprogress(merger.align(), STAGES.exposure, STAGES.alignment)
     with clock.stage("labels"):
-        merger.label()
-    yield from merger.fill_texels()
+        yield from subprogress(merger.label(), STAGES.alignment, STAGES.labels)
+    yield from subprogress(merger.fill_texels(), STAGES.labels, STAGES.texels)
     if settings.sharpen and settings.method != "paper":
-        yield from merger.sharpen()
-    yield Progress(0.9, "Filling holes")
+        yield from subprogress(merger.sharpen(), STAGES.texels, STAGES.sharpening)
+    yield Progress(STAGES.sharpening, "Filling holes")
     with clock.stage("holes"):
         merger.interpolate_holes()
     with clock.stage("blending"):
-        yield from subprogress(merger.blend(), 0.9, 1.0)
+        yield from subprogress(merger.blend(), STAGES.sharpening, 1.0)
     holes = None
     if settings.fill == "restore":
         filler = HoleFiller(merger.surface, merger.map, merger.colors, merger.source != NO_PHOTOGRAPH)
         with clock.stage("restore"):
-            holes = yield from subprogress(filler.fill(), 0.9, 1.0)
+            holes = yield from subprogress(filler.fill(), STAGES.sharpening, 1.0)
     with clock.stage("gutter"):
         return merger.finish(holes)
 
@@ -141,7 +155,7 @@ class _Merger:
                 self.views.append(view)
                 self.photographs[index] = self.photographs[index].pack_in(self.scratch, index)
                 self.scratch.release(index)
-                yield Progress(0.2 * (index + 1) / len(self.photographs), "Finding visible faces")
+                yield Progress((index + 1) / len(self.photographs), "Finding visible faces")
 
     def _look_from(self, photograph: Photograph) -> View:
         view = View(photograph.camera, self.mesh, photograph.mask)
@@ -150,10 +164,11 @@ class _Merger:
             view.exclude(~shown)
         return view
 
-    def compare(self) -> None:
+    def compare(self) -> Steps[None]:
         """Estimate the gains of the photographs, and which of their parts show something else than the surface."""
         count = min(POINTS, MAX_OBSERVATIONS // len(self.photographs))
-        observed = observe(sample_surface(self.surface, count), self.photographs, self.views, self.scratch)
+        seen = observe(sample_surface(self.surface, count), self.photographs, self.views, self.scratch)
+        observed = yield from subprogress(seen, 0.0, 0.5)
         self._estimate_colors(observed, None)
         colors = np.empty_like(observed.colors)
         for index, correction in enumerate(self.color_corrections):
@@ -161,7 +176,7 @@ class _Merger:
             colors[own] = correction.apply(observed.colors[own], observed.positions[own])
         sizes = [photograph.camera.lens.size for photograph in self.photographs]
         weights = np.empty(len(observed.points), np.float32)
-        trust = rate_photographs(observed, colors, sizes)
+        trust = yield from subprogress(rate_photographs(observed, colors, sizes), 0.5, 1.0)
         for _ in map_ordered(lambda pair: pair[0].apply_trust(pair[1]), zip(self.views, trust, strict=True)):
             pass
         for index, (cells, size) in enumerate(zip(trust, sizes, strict=True)):
@@ -187,13 +202,14 @@ class _Merger:
         gains = [each.gain for each in self.color_corrections]
         self.photographs = yield from align(self.photographs, self.views, gains, self.surface, self.scratch)
 
-    def label(self) -> None:
+    def label(self) -> Steps[None]:
         """Choose the photograph of each triangle, and compute the colors of vertices."""
         self.labels = np.full(len(self.mesh.triangles), NO_PHOTOGRAPH, np.int32)
         if self.settings.method == "best":
-            self.labels = choose_labels(rate_faces(self.surface, self.views, self.scratch), self.surface.edges)
+            qualities = yield from subprogress(rate_faces(self.surface, self.views, self.scratch), 0.0, 0.4)
+            self.labels = yield from subprogress(choose_labels(qualities, self.surface.edges), 0.4, 0.6)
         self.pairs: VertexLabels = find_vertex_labels(self.mesh.triangles, self.labels, self.surface.areas, len(self.photographs))
-        self.vertex_colors = color_vertices(
+        colors = color_vertices(
             self.surface,
             self.pairs,
             self.photographs,
@@ -202,18 +218,21 @@ class _Merger:
             self.scratch,
             is_leveled=self.settings.blending == "level",
         )
+        self.vertex_colors = yield from subprogress(colors, 0.6, 1.0)
 
     def fill_texels(self) -> Steps[None]:
         """Compute the texels, tile by tile."""
         count = len(self.map.triangles)
         with self.clock.stage("faces"):
+            shown = ShownSurface(self.surface)
+            is_cosine = self.settings.method == "paper"
+            faces = yield from subprogress(find_visible_faces(self.views, shown, self.scratch, is_cosine=is_cosine), 0.0, FACES_END)
             self.painter = TexelPainter(
-                self.surface,
+                shown,
+                faces,
                 self.photographs,
-                self.views,
                 self.color_corrections,
                 self.scratch,
-                is_cosine=self.settings.method == "paper",
                 reduces_highlights=self.settings.reduce_highlights,
             )
             if len(self.pairs.keys):
@@ -228,7 +247,7 @@ class _Merger:
                 self.confidence[texels] = np.sqrt(np.minimum(found.resolution * self.texel_areas[found.tile.triangles], 1.0))
                 self.source[texels] = found.source
                 done += len(texels)
-                yield Progress(0.35 + 0.25 * done / total, "Computing texels")
+                yield Progress(FACES_END + (1.0 - FACES_END) * done / total, "Computing texels")
 
     def sharpen(self) -> Steps[None]:
         """Bring back the detail that resampling has blurred."""
@@ -240,7 +259,7 @@ class _Merger:
             corners = self.map.stacked_corners
             noise = estimate_noise(self.photographs)
             residuals = yield from subprogress(
-                find_residuals(self.painter, self.photographs, self.views, self.mesh, corners, texture, self.scratch), 0.6, 0.8
+                find_residuals(self.painter, self.photographs, self.views, self.mesh, corners, texture, self.scratch), 0.0, RESIDUALS_END
             )
         done, total = 0, int(np.count_nonzero(self.map.triangles >= 0))
         with self.clock.stage("sharpen"):
@@ -248,7 +267,7 @@ class _Merger:
                 texels = change.tile.texels
                 self.colors[texels] = sharpen_colors(self.colors[texels], change.colors, noise)
                 done += len(texels)
-                yield Progress(0.8 + 0.1 * done / total, "Sharpening")
+                yield Progress(RESIDUALS_END + (1.0 - RESIDUALS_END) * done / total, "Sharpening")
 
     def interpolate_holes(self) -> None:
         """Fill the texels that no photograph shows with colors interpolated over the surface, unless they stay transparent."""

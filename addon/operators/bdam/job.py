@@ -9,7 +9,7 @@ import numpy as np
 
 from ...bridge.bdam import objects as terrain_objects
 from ...bridge.bdam.objects import SceneTerrain, TerrainChange
-from ...bridge.viewers import describe_camera_range, extend_clipping
+from ...bridge.viewers import describe_camera_range, describe_solid_view, extend_clipping
 from ...core.bdam.settings import ViewSettings
 from ...core.bdam.view.engine import BdamEngine, Update
 from ...core.errors import GeometryError
@@ -70,8 +70,9 @@ class ShowJob:
         cache.store(self.terrain, self.engine)
         message = f'"{self.terrain.name}": {core_result.figures.triangles:,} triangles in {core_result.figures.tiles} tiles.'
         low, high = self.engine.bounds
-        reach = describe_camera_range(bpy.context.scene, float(np.linalg.norm(high - low))) if is_new else ""
-        return join_sentences([message, *core_result.warnings[:1], reach])
+        size = float(np.linalg.norm(high - low))
+        hints = [describe_camera_range(bpy.context.scene, size), describe_solid_view()] if is_new else []
+        return join_sentences([message, *core_result.warnings[:1], *hints])
 
 
 def prepare_load(

@@ -24,8 +24,8 @@ POLL_SECONDS = 0.1  # Between two looks whether an automatic estimate has ended.
 
 @dataclass(frozen=True)
 class EstimateKey:
-    """The input of an estimate. objects: name, number of vertices, number of faces and matrix of each selected object, and of the originals
-    of selected clouds. selected_count: number of selected objects, which come first."""
+    """The input of an estimate. objects: name, number of vertices, number of faces, matrix and parent of each selected object, and of the
+    originals of selected clouds. selected_count: number of selected objects, which come first."""
 
     objects: tuple[tuple, ...]
     selected_count: int
@@ -136,7 +136,8 @@ def estimate_key(context: bpy.types.Context, settings: BillboardSettings) -> Est
     has_levels = any(clouds.KIND in item for item in selected)
     originals = [source for cloud in clouds_of_levels(context.scene, selected) for source in cloud.sources] if has_levels else []
     objects = tuple(
-        (item.name, *_counts(item), *(round(value, 6) for row in item.matrix_world for value in row)) for item in (*selected, *originals)
+        (item.name, *_counts(item), *(round(value, 6) for row in item.matrix_world for value in row), item.parent and item.parent.name)
+        for item in (*selected, *originals)
     )
     return EstimateKey(objects, len(selected), context.scene.farfield_billboards.combine_selected, settings)
 

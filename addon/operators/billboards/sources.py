@@ -21,7 +21,8 @@ def read_sources(context: bpy.types.Context, objects: Sequence[bpy.types.Object]
 
     A mesh with only vertices is a point cloud, which is always a source of its own, also with `combine`. The levels of a cloud represent
     the objects that it was built from, which may be hidden; they become one source. With `combine` the active object comes first, as in
-    Blender's Join, because others give name and origin only in its absence, see `read_combined`.
+    Blender's Join, because others give name and origin only in its absence, see `read_combined`. Without it, objects that are parented to
+    each other or to the same armature are one source.
 
     Raises:
         GeometryError: there is no source.
@@ -56,11 +57,27 @@ def describe_selection(context: bpy.types.Context, combine: bool) -> str:
     selected = context.selected_objects
     surfaces = [item for item in selected if meshes.may_have_surface(item) and clouds.KIND not in item]
     others = sum(not meshes.may_have_surface(item) for item in selected)
-    count = len(surfaces) + len(clouds_of_levels(context.scene, selected) if len(surfaces) + others < len(selected) else [])
-    if count < 2:
+    selected_clouds = clouds_of_levels(context.scene, selected) if len(surfaces) + others < len(selected) else []
+    objects, groups = len(surfaces) + len(selected_clouds), len(group_by_parents(surfaces)) + len(selected_clouds)
+    if objects < 2:
         return ""
-    outcome = f"One cloud of {count} objects." if combine else f"{count} clouds, one per object."
+    if combine or groups == 1:
+        outcome = f"One cloud of {objects} objects{'' if combine else ', which are parented'}."
+    else:
+        outcome = f"{groups} clouds, one per object{' with its children' if groups < objects else ''}."
     return join_sentences([outcome, f"{format_count(others, 'object')} without a surface." if others else ""])
+
+
+def group_by_parents(objects: Sequence[bpy.types.Object]) -> list[list[bpy.types.Object]]:
+    """Return `objects` in the groups that become a cloud each by default: those that are parented to each other or to the same armature."""
+    groups: dict[bpy.types.Object, list[bpy.types.Object]] = {}
+    chosen = set(objects)
+    for item in objects:
+        root = item
+        while root.parent is not None and (root.parent in chosen or root.parent.type == "ARMATURE"):
+            root = root.parent
+        groups.setdefault(root, []).append(item)
+    return list(groups.values())
 
 
 def is_point_cloud(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
@@ -95,7 +112,7 @@ def _read_selected(
 def _read_surfaces(
     objects: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph, combine: bool, skipped: list[str]
 ) -> list[meshes.Source]:
-    """Return one source of all `objects`, or one per object with faces; add the other objects to `skipped`."""
+    """Return one source of all `objects`, or one per group of objects with faces; add the other objects to `skipped`."""
     if not objects:
         raise GeometryError(f"Nothing to build a cloud from: {'; '.join(skipped) or 'no object is selected'}. Select an object with faces.")
     combined = read_combined(objects, depsgraph)
@@ -103,7 +120,7 @@ def _read_surfaces(
     names = {instance.name for instance in combined.instances}
     if combine or len(names) == 1:
         return [combined]
-    return [meshes.read_source([item], depsgraph) for item in objects if item.name in names]
+    return [read_combined(group, depsgraph) for group in group_by_parents([item for item in objects if item.name in names])]
 
 
 def quote_clouds(scene_clouds: Sequence[SceneCloud]) -> str:

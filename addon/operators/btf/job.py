@@ -19,7 +19,6 @@ from ...bridge.billboards.source_objects import read_source_objects
 from ...bridge.btf.capture import snapshot as btf_snapshot
 from ...bridge.btf.capture import source_renderers as btf_capture
 from ...bridge.btf.capture import worker as btf_worker
-from ...bridge.btf.capture.snapshot import may_run_python_drivers
 from ...bridge.btf.levels import emission_levels as btf_clouds
 from ...bridge.btf.levels.level_checks import check_editable, check_level, is_unchanged
 from ...bridge.btf.levels.surface_levels import assign_surface_material, check_maps, read_two_sided_texels
@@ -27,6 +26,7 @@ from ...bridge.geometry import meshes
 from ...bridge.imaging import images
 from ...bridge.objects import find_by_uid
 from ...bridge.shading.shared_parameters import Value, read_shared_parameters
+from ...bridge.snapshots import may_run_python_drivers
 from ...core.billboards.texels import QuadPolygons, Texels
 from ...core.btf.capture.capture_run import CaptureRun, render_missing_views
 from ...core.btf.capture.capture_spec import LevelCaptureSpec

@@ -12,7 +12,7 @@ from ...bridge.clipbox.materials import GroundImage, create_terrain_material
 from ...bridge.clipbox.objects import SceneTerrain
 from ...bridge.clipbox.sources import absolute_path
 from ...bridge.imaging.image_files import check_openexr
-from ...bridge.viewers import describe_camera_range
+from ...bridge.viewers import describe_camera_range, describe_solid_view
 from ...core.clipbox.engine import NO_SURFACE, TerrainEngine, Update, check_viewer
 from ...core.clipbox.files.readers import BLEND_PREFIX, check_path
 from ...core.clipbox.layout import choose_terrain_origin
@@ -81,9 +81,9 @@ class TerrainJob:
         triangles = sum(len(mesh.triangles) for mesh in core_result.meshes.values())
         summary = f'"{self.terrain.name}": {format_count(triangles, "triangle")} in {format_count(settings.boxes, "box")}.'
         size = settings.voxel_size * settings.resolution * 2 ** (settings.boxes - 1)
-        reach = "" if is_rebuilt else describe_camera_range(bpy.context.scene, size)
+        hints = [] if is_rebuilt else [describe_camera_range(bpy.context.scene, size), describe_solid_view()]
         kept = [f"It is in addition to {quote_names(terrain.name for terrain in others)}, which Update changes."] if others else []
-        return join_sentences([summary, *kept, *self.engine.warnings, reach])
+        return join_sentences([summary, *kept, *self.engine.warnings, *hints])
 
 
 def prepare(settings: ClipboxSettings, viewer: np.ndarray, terrain: SceneTerrain | None = None) -> TerrainJob:

@@ -11,6 +11,7 @@ from ..error_reports import report_message, reports_errors
 from .analysis import FARFIELD_PG_distance_plan, analyze, describe_weight, store_plans
 from .job import DistanceJob, prepare
 from .measuring import MeasureJob
+from .measuring import prepare as prepare_measurement
 
 
 class FARFIELD_PG_distance(bpy.types.PropertyGroup):
@@ -102,7 +103,7 @@ class LevelsOperator:
 
 class FARFIELD_OT_distance_measure(long_work.LongWork, bpy.types.Operator):
     """Render up to three frames with the originals and with levels by distance, with at most 32 samples, and compare time, memory and the
-    images. Blender waits for each render; Esc cancels between them"""
+    images. A copy of the scene is rendered in the background; Esc cancels"""
 
     bl_idname = "farfield.distance_measure"
     bl_label = "Measure Levels by Distance"
@@ -115,8 +116,8 @@ class FARFIELD_OT_distance_measure(long_work.LongWork, bpy.types.Operator):
         return long_work.poll_with_reason(cls, disabled_reason(context) or levels_reason(context) or camera)
 
     def prepare(self, context: bpy.types.Context) -> MeasureJob:
-        """Read the scene."""
-        return MeasureJob(context.scene.session_uid)
+        """Copy the scene."""
+        return prepare_measurement(context.scene)
 
 
 class FARFIELD_OT_distance_show_original(LevelsOperator, bpy.types.Operator):

@@ -8,8 +8,7 @@ import bpy
 
 from ...bridge.packages.sources import PackageSource, read_package_source
 from ...bridge.scene_paths import check_scene_outputs
-from ...core.errors import SettingsError
-from ...core.files.filenames import unique_filenames
+from ...core.files.filenames import safe_filename, unique_filenames
 from ...core.files.outputs import Output
 from ...core.jobs.progress import Progress, Steps, subprogress
 from ...core.messages import join_sentences
@@ -18,12 +17,18 @@ from ...core.packages.package import PackageReport, build_package
 from ...core.packages.settings import FIXED_LEVEL_SETTINGS, PackageSettings
 from ...core.texmesh.settings import TexmeshSettings
 from .. import properties, start_job
+from ..file_browser import find_start_folder, remember_folder
 from ..properties import absolute_path
 from ..texmesh.job import describe_skipped
 from ..texmesh.operators import disabled_reason
 from ..texmesh.sources import check_sizes, describe_small, read_sources, source_objects
 
-FOLDER = {"name": "Folder", "description": "Folder for the package; files of an earlier one in it are replaced", "subtype": "DIR_PATH"}
+FOLDER = {
+    "name": "Folder",
+    "description": "Folder for the package; files of an earlier one in it are replaced. By default, it is called like the object, and is "
+    "next to the .blend file or to the package before",
+    "subtype": "DIR_PATH",
+}
 
 
 @dataclass
@@ -61,7 +66,8 @@ class PackageJob:
     def scene_steps(self, core_result: list[PackageReport]) -> Steps[str]:
         """Return the message for the user."""
         yield Progress(1.0, "Exported")
-        sentences = [report.describe() for report in core_result]
+        folder = self.folders[0] if len(self.folders) == 1 else self.folders[0].parent
+        sentences = [*(report.describe() for report in core_result), f'The folder is "{folder}".']
         sentences += [sentence for source in self.sources for sentence in (describe_small(source, self.settings), *source.remarks)]
         return join_sentences([*sentences, *describe_skipped(self.skipped)])
 
@@ -96,11 +102,18 @@ class FARFIELD_OT_packages_export(start_job.StartJob, bpy.types.Operator):
         properties.fill_unset(PackageSettings, self, panel)
         package_settings = properties.read(PackageSettings, self)
         folder = self.folder or panel.folder
-        if not folder:
-            raise SettingsError("A package needs a folder; set Folder.", ("folder",))
-        job = prepare_packages(context, source_objects(context), settings, package_settings, absolute_path(folder))
+        path = absolute_path(folder) if folder else propose_folder(context)
+        job = prepare_packages(context, source_objects(context), settings, package_settings, path)
         check_scene_outputs([Output("the folder of a package", path, check_package_folder, is_folder=True) for path in job.folders])
+        remember_folder(self, context, path)
         return job
+
+
+def propose_folder(context: bpy.types.Context) -> Path:
+    """Return the folder that a package gets if none is chosen."""
+    objects = source_objects(context)
+    name = safe_filename(f"{objects[0].name} package") if len(objects) == 1 else "packages"
+    return find_start_folder(FARFIELD_OT_packages_export.__name__, context) / name
 
 
 def prepare_packages(

@@ -30,7 +30,7 @@ from ...core.unwrap.unwrapping import UnwrapResult
 from ..unwrap import job as unwrap_job
 from .sources import open_photographs, read_photographs, read_targets
 
-READING_END, UNWRAPPING_END = 0.15, 0.5  # fractions of the progress bar
+READING_END, UNWRAPPING_END = 0.02, 0.15  # fractions of the progress bar, by the time that they take
 DENSITY_RATIO = 5.0**0.5  # from the importance 1 / (<N, V> + 1.5) (Textures Revisited, section 6)
 MIN_QUALITY = 0.05
 

@@ -52,12 +52,14 @@ class RestoreJob:
         settings: how they are restored.
         masks: where pixels are missing, and where the results go.
         editor: the Image Editor that shows the result, see `image_editors`.
+        replaces_results: whether the newest results of the maps are replaced, where nothing has happened to them since.
     """
 
     maps: list[Map]
     settings: RestoreSettings
     masks: MaskSettings
     editor: int
+    replaces_results: bool
 
     def restore_pixels(self, stored: list[np.ndarray], formats: list[PixelFormat], guides: Guides, part: str) -> Steps[int]:
         """Restore the missing pixels of the stored values (H, W, 4) of all maps in place, and return the number of missing pixels.
@@ -106,12 +108,19 @@ class RestoreJob:
         remark: added to its first sentence.
         """
         sources, skipped = [each.find() for each in self.maps], []
+        formers = [image_users.find_replaceable(source) if self.replaces_results else None for source in sources]
         for source, image in zip(sources, images, strict=True):
             image[image_users.ORIGINAL_PROPERTY] = source
             image_editors.remember_former(image, source)
             skipped += image_users.replace_image(source, image) if self.masks.replace_in_materials else []
             image.use_fake_user = image.users == 0
         image_editors.show_image(self.editor, images[0])
+        for image, former in zip(images, formers, strict=True):
+            if former is not None:
+                image_users.take_place(former, image)
+            if self.replaces_results:
+                image_users.mark_replaceable(image)
+        remark += ", in place of the result before" if formers[0] is not None else ""
         message = f'Restored {format_count(missing_count, "pixel")} of "{sources[0].name}" as "{images[0].name}"{remark}.'
         if skipped:
             message += f" Not replaced in linked or overridden data: {quote_names(dict.fromkeys(skipped))}."

@@ -11,7 +11,7 @@ from ...bridge.blender import redraw_areas
 from ...bridge.restore import image_users
 from ...bridge.restore.image_pixels import read_format
 from ...bridge.restore.image_sources import check_image, find_image, find_obstacle, list_frames, read_tiles
-from ...bridge.restore.image_users import WHITE, create_mask, set_brush_color
+from ...bridge.restore.image_users import WHITE, create_mask, set_brush_color, set_brush_size
 from ...bridge.restore.outline import outline
 from ...core.errors import ImageError, SettingsError
 from ...core.files.file_access import check_unicode
@@ -22,6 +22,7 @@ from .guides import GuideReader, find_shown_masks
 from .job import ImageJob, Map, RestoreJob, SequenceJob
 
 NO_IMAGE = "Open an image in the Image Editor"
+BRUSH_FRACTION, MIN_BRUSH_SIZE = 0.04, 8  # the diameter of the brush for masks: of the longer side of the image, and pixels on screen
 NO_MAPS = "turn off All Maps of Material, which restores single images and tiles only"
 
 
@@ -39,13 +40,19 @@ class FARFIELD_PG_restore(bpy.types.PropertyGroup):
 
 
 class FARFIELD_OT_restore_image(start_job.StartJob, bpy.types.Operator):
-    """Fill the missing parts of the image with structure and texture from the rest of it. The result is a new image"""
+    """Fill the missing parts of the image with structure and texture from the rest of it. The result is a new image. It replaces the result
+    before, unless that was saved, renamed, painted or used since"""
 
     bl_idname = "farfield.restore_image"
     bl_label = "Restore Missing Parts of Image"
     bl_options = {"REGISTER", "UNDO"}
     settings_types, panel_property = (MaskSettings, RestoreSettings), "farfield_restore"
-    __annotations__ = start_job.setting_properties(*settings_types) | {"image": _image_property("restore")}
+    __annotations__ = start_job.setting_properties(*settings_types) | {
+        "image": _image_property("restore"),
+        "keep_result": bpy.props.BoolProperty(
+            name="Keep Result", description="Keep the result before, and this one when the image is restored again", options={"SKIP_SAVE"}
+        ),
+    }
 
     @classmethod
     def disabled_reason(cls, context: bpy.types.Context) -> str:
@@ -55,7 +62,7 @@ class FARFIELD_OT_restore_image(start_job.StartJob, bpy.types.Operator):
     def prepare(self, context: bpy.types.Context) -> RestoreJob:
         """Read the image and its masks."""
         settings = self.read_settings(context)
-        return prepare(context, self.image, settings[MaskSettings], settings[RestoreSettings])
+        return prepare(context, self.image, settings[MaskSettings], settings[RestoreSettings], replaces_results=not self.keep_result)
 
 
 class FARFIELD_OT_restore_mask(bpy.types.Operator):
@@ -80,6 +87,9 @@ class FARFIELD_OT_restore_mask(bpy.types.Operator):
         group.mask, group.mask_image = "image", mask.name
         set_brush_color(context.tool_settings, WHITE)
         image_editors.show_image(image_editors.remember_editor(context), mask, "PAINT")
+        side = max(source.size) * image_editors.find_zoom(context.area, source) if image_editors.is_image_editor(context) else 0.0
+        if side:  # Without a window, images have no size on screen.
+            set_brush_size(context.tool_settings, max(round(BRUSH_FRACTION * side), MIN_BRUSH_SIZE))
         report_message(self, f'Created "{mask.name}"; paint white where pixels are missing.')
         return {"FINISHED"}
 
@@ -150,7 +160,9 @@ class FARFIELD_OT_restore_variant(bpy.types.Operator):
             return {"FINISHED"}
         context.scene.farfield_restore.seed += 1
         original = image_users.read_image_property(variants[-1], image_users.ORIGINAL_PROPERTY)
-        return bpy.ops.farfield.restore_image("EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT", image=original.name)
+        return bpy.ops.farfield.restore_image(
+            "EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT", image=original.name, keep_result=True
+        )
 
 
 def list_variants(context: bpy.types.Context) -> tuple[list[bpy.types.Image], int]:
@@ -192,8 +204,8 @@ def require_image(context: bpy.types.Context, name: str, masks: MaskSettings | N
     return image
 
 
-def prepare(context: bpy.types.Context, name: str, masks: MaskSettings, settings: RestoreSettings) -> RestoreJob:
-    """Read the image and its masks. Of a sequence, only the list of its frames is read.
+def prepare(context: bpy.types.Context, name: str, masks: MaskSettings, settings: RestoreSettings, *, replaces_results: bool) -> RestoreJob:
+    """Read the image and its masks. Of a sequence, only the list of its frames is read. replaces_results: see `RestoreJob`.
 
     Raises:
         ImageError: the image or a mask cannot be used.
@@ -207,7 +219,7 @@ def prepare(context: bpy.types.Context, name: str, masks: MaskSettings, settings
     others = {other: find_obstacle(image, other) for other in image_users.list_maps(image)} if masks.all_maps_of_material else {}
     images = [image, *(other for other, obstacle in others.items() if not obstacle)]
     maps = [Map(each.name, each.session_uid, image_users.is_normal_map(each) or (masks.normal_map and each == image)) for each in images]
-    common = (maps, settings, masks, image_editors.remember_editor(context))
+    common = (maps, settings, masks, image_editors.remember_editor(context), replaces_results and image.source != "SEQUENCE")
     if image.source == "SEQUENCE":
         return SequenceJob(*common, frames=list_frames(image), guides=guides, folder=_output_folder(image, masks))
     tiles = [read_tiles(each) for each in images]

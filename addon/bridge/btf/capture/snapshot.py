@@ -1,30 +1,25 @@
 """Snapshot of a bake for worker processes: source objects in a .blend file, levels as arrays, settings, and the scene's frame."""
 
-import errno
 import json
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import bpy
-import numpy as np
 
 from ....core.btf.capture.capture_spec import LevelCaptureSpec, load_capture_spec
 from ....core.btf.settings import BtfSettings
 from ....core.errors import FileError, GeometryError
-from ....core.files.complete_files import is_complete_blend
-from ....core.files.file_access import error_reason
 from ...billboards.source_objects import read_source_objects
 from ...geometry.meshes import Source
-from ...imaging.images import find_images, read_pixels
+from ...imaging.images import find_images
+from ...snapshots import explain, read_unsaved_images, write_blend, write_unsaved_images
 
 BLEND_FILE, METADATA_FILE = "snapshot.blend", "snapshot.json"
 SCENE_PROPERTIES = ("frame_subframe", "use_gravity")
 RENDER_PROPERTIES = ("fps", "fps_base", "use_simplify", "simplify_subdivision", "simplify_child_particles")  # They affect evaluated meshes.
 UNIT_PROPERTIES = ("scale_length",)
-PROBE = "farfield_driver_probe"
 
 
 @dataclass(frozen=True)
@@ -64,20 +59,15 @@ def write_snapshot(
         "levels": len(specs),
         "frame": scene.frame_current,
         "properties": {key: {name: getattr(owner, name) for name in names} for key, owner, names in _property_owners(scene)},
-        "images": {},
     }
     try:
-        for index, image in enumerate(_unsaved_images(source)):
-            metadata["images"][image.name] = f"image-{index}.npy"
-            np.save(folder / f"image-{index}.npy", read_pixels(image), allow_pickle=False)
+        metadata["images"] = write_unsaved_images(folder, find_images(source.materials))
         metadata["collection"] = _write_blend(folder / BLEND_FILE, objects)
-        if not is_complete_blend(folder / BLEND_FILE):  # Blender does not always notice a full disk.
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         for index, spec in enumerate(specs):
             spec.save(_spec_path(folder, index))
         (folder / METADATA_FILE).write_text(json.dumps(metadata), encoding="utf-8")
     except (OSError, RuntimeError) as error:
-        raise FileError(f'The snapshot for the workers cannot be written to "{folder}": {_reason(error)}.') from error
+        raise FileError(f'The snapshot for the workers cannot be written to "{folder}": {explain(error)}.') from error
 
 
 def open_snapshot(folder: Path, *, run_drivers: bool) -> Snapshot:
@@ -103,12 +93,11 @@ def open_snapshot(folder: Path, *, run_drivers: bool) -> Snapshot:
             appended.collections = [metadata["collection"]]
         objects_by_name = {item.name: item for item in appended.collections[0].objects}
         objects = [objects_by_name[name] for name in metadata["objects"]]
-        for name, file in metadata["images"].items():
-            bpy.data.images[name].pixels.foreach_set(np.load(folder / file, allow_pickle=False).ravel())
+        read_unsaved_images(folder, metadata["images"])
         specs = [load_capture_spec(_spec_path(folder, index)) for index in range(metadata["levels"])]
     except (OSError, AttributeError, KeyError, TypeError, ValueError, RuntimeError) as error:
         raise FileError(
-            f'The snapshot in "{folder}" cannot be read: {_reason(error)}. Start the bake again; finished views are reused.'
+            f'The snapshot in "{folder}" cannot be read: {explain(error)}. Start the bake again; finished views are reused.'
         ) from error
     for item in objects:
         scene.collection.objects.link(item)
@@ -128,18 +117,10 @@ def _write_blend(path: Path, objects: Sequence[bpy.types.Object]) -> str:
     try:
         for item in objects:
             collection.objects.link(item)
-        bpy.data.libraries.write(str(path), {collection}, path_remap="ABSOLUTE")
+        write_blend(path, collection)
         return collection.name
     finally:
         bpy.data.collections.remove(collection)
-
-
-def _reason(error: Exception) -> str:
-    """Return the reason of an error on one line. Messages of Blender have several lines."""
-    if isinstance(error, OSError):
-        return error_reason(error)
-    lines = str(error).strip().splitlines() or [type(error).__name__]
-    return lines[-1].removeprefix("Error: ").rstrip(". ")
 
 
 def _spec_path(folder: Path, index: int) -> Path:
@@ -151,52 +132,3 @@ def _property_owners(scene: bpy.types.Scene) -> Iterator[tuple[str, Any, tuple[s
     yield "scene", scene, SCENE_PROPERTIES
     yield "render", scene.render, RENDER_PROPERTIES
     yield "units", scene.unit_settings, UNIT_PROPERTIES
-
-
-def _unsaved_images(source: Source) -> list[bpy.types.Image]:
-    """Return the images of the materials of `source` that have unsaved pixels.
-
-    Raises:
-        FileError: if a tiled image has unsaved strokes, which only its own files can store.
-    """
-    unsaved = []
-    for image in find_images(source.materials):
-        if image.is_dirty and image.source == "TILED":
-            raise FileError(f'The tiles of the image "{image.name}" have unsaved changes; save them and bake again.')
-        if image.is_dirty and image.has_data:
-            unsaved.append(image)
-    return unsaved
-
-
-def may_run_python_drivers() -> bool:
-    """Return whether drivers of the open file run any Python. False without asking Blender if none of them needs that permission.
-
-    Blender does not tell. It evaluates a driver of a temporary scene, which calls a method: restricted drivers may not.
-    """
-    # Some drivers that run the full interpreter do not need the permission; Blender decides when it runs them.
-    if not any(driver.type == "SCRIPTED" and not driver.is_simple_expression for driver in _drivers()):
-        return False
-    calls: list[int] = []
-    scene = bpy.data.scenes.new("Farfield Driver Probe")
-    try:
-        bpy.app.driver_namespace[PROBE] = calls
-        scene[PROBE] = 0.0
-        driver = scene.driver_add(f'["{PROBE}"]').driver
-        driver.type, driver.expression = "SCRIPTED", f"{PROBE}.append(1) or 0.0"
-        scene.view_layers[0].update()
-    finally:
-        bpy.app.driver_namespace.pop(PROBE, None)
-        bpy.data.scenes.remove(scene)
-    return bool(calls)
-
-
-def _drivers() -> Iterator[bpy.types.Driver]:
-    """Yield all drivers of the open file, those of linked data and of node trees in other data included."""
-    for member in bpy.data.bl_rna.properties:
-        if member.type != "COLLECTION":
-            continue
-        for data in getattr(bpy.data, member.identifier):
-            for owner in (data, getattr(data, "node_tree", None)):
-                animation = getattr(owner, "animation_data", None)
-                if animation is not None:
-                    yield from (curve.driver for curve in animation.drivers)

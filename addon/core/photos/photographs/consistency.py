@@ -13,7 +13,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, label, minimum_filter
 
 from ...arrays import find_group_medians
-from .observations import Observations
+from ...jobs.progress import Progress, Steps
+from .observations import LABEL, Observations
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class Tuning:
 TUNING = Tuning()
 
 
-def rate_photographs(observed: Observations, colors: np.ndarray, sizes: list[tuple[int, int]]) -> list[np.ndarray]:
+def rate_photographs(observed: Observations, colors: np.ndarray, sizes: list[tuple[int, int]]) -> Steps[list[np.ndarray]]:
     """Return for each photograph of `sizes` (width, height) how far (h, w) float32, 0 to 1, each of its cells can be trusted.
 
     colors: (N, 3), the encoded colors of the observations after exposures were adjusted. The cells divide the photograph evenly.
@@ -58,7 +59,8 @@ def rate_photographs(observed: Observations, colors: np.ndarray, sizes: list[tup
     def find_odds() -> np.ndarray:
         return _keep_the_best(evidence + TUNING.prior + TUNING.neighbor_weight * grid.smooth(evidence), groups, counts)
 
-    for _ in range(TUNING.iterations):
+    for iteration in range(TUNING.iterations):
+        yield Progress(iteration / TUNING.iterations, LABEL)
         odds = find_odds()
         trust = 1.0 / (1.0 + np.exp(-odds))
         totals = np.bincount(groups, trust)[groups] - trust

@@ -8,10 +8,12 @@ import numpy as np
 from ...files.scratch import Scratch
 from ...geometry.transforms import normalize
 from ...jobs.chunks import map_ordered
+from ...jobs.progress import Progress, Steps
 from .photograph import Photograph
 from .surface import Surface
 from .views import View
 
+LABEL = "Comparing photographs"
 POINTS = 60_000
 MAX_OBSERVATIONS = 1_200_000  # if every photograph showed every point: more photographs get fewer points
 
@@ -38,7 +40,9 @@ def sample_surface(surface: Surface, count: int) -> tuple[np.ndarray, np.ndarray
     return points, normalize(np.einsum("ni,nic->nc", barycentric, surface.corner_normals[triangles]))
 
 
-def observe(points: tuple[np.ndarray, np.ndarray], photographs: list[Photograph], views: list[View], scratch: Scratch) -> Observations:
+def observe(
+    points: tuple[np.ndarray, np.ndarray], photographs: list[Photograph], views: list[View], scratch: Scratch
+) -> Steps[Observations]:
     """Return what `photographs` show of `points` (see `sample_surface`), with colors that do not depend on the finest details.
 
     `scratch` keeps the images of photographs and views, and releases each after its use.
@@ -50,7 +54,11 @@ def observe(points: tuple[np.ndarray, np.ndarray], photographs: list[Photograph]
         scratch.release(label)
         return seen.indices, np.full(len(seen.indices), label), seen.positions, colors
 
-    indices, labels, positions, colors = zip(*map_ordered(look, range(len(photographs))), strict=True)
+    found = []
+    for each in map_ordered(look, range(len(photographs))):
+        found.append(each)
+        yield Progress(len(found) / len(photographs), LABEL)
+    indices, labels, positions, colors = zip(*found, strict=True)
     every = np.concatenate(indices)
     order = np.argsort(every, kind="stable")
     return Observations(every[order], np.concatenate(labels)[order], np.concatenate(positions)[order], np.concatenate(colors)[order])

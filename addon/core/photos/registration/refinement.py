@@ -103,7 +103,7 @@ def _prepare(surface: Surface, photographs: list[Photograph], scratch: Scratch) 
         views[-1].keep_in(scratch, index)
         scratch.release(index)
     yield Progress(0.7, "Comparing photographs")
-    observed = observe(sample_surface(surface, EXPOSURE_POINTS), photographs, views, scratch)
+    observed = yield from subprogress(observe(sample_surface(surface, EXPOSURE_POINTS), photographs, views, scratch), 0.7, 0.75)
     return (yield from subprogress(make_grays(photographs, views, estimate_gains(observed, len(photographs)), scratch), 0.75, 1.0))
 
 

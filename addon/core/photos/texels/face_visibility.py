@@ -10,6 +10,7 @@ import numpy as np
 
 from ...files.scratch import Scratch
 from ...geometry.mesh import face_areas_and_normals
+from ...jobs.progress import Progress, Steps
 from ..photographs.surface import Surface
 from ..photographs.views import MIN_COSINE, Seen, View
 from .texel_map import TexelTile
@@ -123,3 +124,17 @@ class FaceVisibility:
             distances = np.sqrt(np.einsum("tc,tc->t", to_camera, to_camera))
             result &= np.einsum("tc,tc->t", to_camera, normals) <= MIN_COSINE * distances
         return result
+
+
+def find_visible_faces(views: list[View], surface: ShownSurface, scratch: Scratch, *, is_cosine: bool) -> Steps[list[FaceVisibility]]:
+    """Return what each photograph shows of the triangles of a surface; `scratch` keeps it in the group of its index.
+
+    is_cosine: see `FaceVisibility`.
+    """
+    found = []
+    for index, view in enumerate(views):
+        yield Progress(index / len(views), "Finding visible faces")
+        found.append(FaceVisibility(view, surface, is_cosine=is_cosine))
+        found[-1].keep_in(scratch, index)
+        scratch.release(index)
+    return found

@@ -7,8 +7,6 @@ import numpy as np
 from ...files.scratch import Scratch
 from ..photographs.color_correction import ColorCorrection
 from ..photographs.photograph import Photograph
-from ..photographs.surface import Surface
-from ..photographs.views import View
 from .face_visibility import FaceVisibility, SeenTexels, ShownSurface
 from .highlights import HighlightDetector
 from .regions import VertexLabels
@@ -52,26 +50,21 @@ class TexelPainter:
 
     def __init__(
         self,
-        surface: Surface,
+        surface: ShownSurface,
+        faces: list[FaceVisibility],
         photographs: list[Photograph],
-        views: list[View],
         color_corrections: list[ColorCorrection],
         scratch: Scratch,
         *,
-        is_cosine: bool,
         reduces_highlights: bool,
     ) -> None:
-        """Look at all triangles.
+        """Prepare to paint.
 
-        scratch: keeps what belongs to a photograph in its group. is_cosine: whether photographs are weighted by the cosine between normal
-        and view direction alone. reduces_highlights: whether they count less where they show highlights, in averages.
+        faces: what each of the photographs shows. scratch: keeps what belongs to a photograph in its group. reduces_highlights: whether
+        photographs count less where they show highlights, in averages.
         """
-        self._surface, self._photographs, self._color_corrections = ShownSurface(surface), photographs, color_corrections
-        self.faces, self._scratch = [], scratch
-        for index, view in enumerate(views):
-            self.faces.append(FaceVisibility(view, self._surface, is_cosine=is_cosine))
-            self.faces[-1].keep_in(scratch, index)
-            scratch.release(index)
+        self._surface, self._photographs, self._color_corrections = surface, photographs, color_corrections
+        self.faces, self._scratch = faces, scratch
         self._regions: list[np.ndarray] = []
         self._corrections: np.ndarray | None = None
         self._highlights = HighlightDetector(photographs, color_corrections, scratch) if reduces_highlights else None

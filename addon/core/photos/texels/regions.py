@@ -15,12 +15,14 @@ from scipy.sparse.linalg import splu
 
 from ...files.scratch import Scratch
 from ...geometry.edges import Edges
+from ...jobs.progress import Progress, Steps
 from ..photographs.color_correction import ColorCorrection
 from ..photographs.photograph import Photograph
 from ..photographs.surface import Surface
 from ..photographs.views import View
 
 FACE_SAMPLES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])  # barycentric
+LABEL = "Choosing photographs"
 ITERATIONS = 60
 DAMPING = 0.5
 LABEL_PENALTY = 0.6  # for neighbors with different photographs; the loss of a photograph with half the resolution is 1
@@ -28,11 +30,12 @@ SMOOTHNESS = 0.1  # weight of differences of corrections along edges, relative t
 REGULARIZATION = 1e-3  # weight of the corrections themselves
 
 
-def rate_faces(surface: Surface, views: list[View], scratch: Scratch) -> np.ndarray:
+def rate_faces(surface: Surface, views: list[View], scratch: Scratch) -> Steps[np.ndarray]:
     """Return how well (T, K) float32 each of `views` shows each triangle, 0 if not all of it; `scratch` keeps their images."""
     samples = [surface.locate(barycentric) for barycentric in FACE_SAMPLES]
     qualities = np.zeros((len(surface.areas), len(views)), np.float32)
     for index, view in enumerate(views):
+        yield Progress(index / len(views), LABEL)
         counts = np.zeros(len(qualities), np.int32)
         for points, normals in samples:
             seen = view.see(points, normals)
@@ -43,7 +46,7 @@ def rate_faces(surface: Surface, views: list[View], scratch: Scratch) -> np.ndar
     return qualities
 
 
-def choose_labels(qualities: np.ndarray, edges: Edges) -> np.ndarray:
+def choose_labels(qualities: np.ndarray, edges: Edges) -> Steps[np.ndarray]:
     """Return the photograph (T,) int32 of each triangle, -1 where none sees it.
 
     qualities: (T, K) float, how well each photograph shows each triangle, 0 where it does not.
@@ -59,7 +62,8 @@ def choose_labels(qualities: np.ndarray, edges: Edges) -> np.ndarray:
     messages = np.zeros((len(to), qualities.shape[1]), np.float32)
     order = np.argsort(to, kind="stable")
     starts = np.searchsorted(to[order], np.arange(len(qualities) + 1))
-    for _ in range(ITERATIONS):
+    for iteration in range(ITERATIONS):
+        yield Progress(iteration / ITERATIONS, LABEL)
         outgoing = _beliefs(losses, messages, order, starts)[back] - messages[reverse]
         outgoing = np.minimum(outgoing, outgoing.min(axis=1, keepdims=True) + LABEL_PENALTY)
         outgoing -= outgoing.min(axis=1, keepdims=True)
@@ -143,7 +147,7 @@ def color_vertices(
     scratch: Scratch,
     *,
     is_leveled: bool,
-) -> VertexColors:
+) -> Steps[VertexColors]:
     """Return the colors of vertices, from the photographs of the regions around them or otherwise from all that show them; `is_leveled`:
     corrected at the borders of regions so that these meet in the same color."""
     count = len(surface.mesh.vertices)
@@ -151,6 +155,7 @@ def color_vertices(
     pair_colors, is_visible = np.zeros((len(pairs.keys), 3), np.float32), np.zeros(len(pairs.keys), bool)
     sums, weights = np.zeros((count, 3)), np.zeros(count)
     for index, (photograph, view, correction) in enumerate(zip(photographs, views, color_corrections, strict=True)):
+        yield Progress(index / len(views), LABEL)
         seen = view.see(surface.mesh.vertices, surface.normals)
         smooth, is_seen = np.zeros((count, 3), np.float32), np.zeros(count, bool)
         smooth[seen.indices] = correction.apply(photograph.smoothed().sample(seen.positions), seen.positions)
