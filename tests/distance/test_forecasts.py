@@ -11,7 +11,15 @@ from distance_scenes import DISTANCES, SIZES, add_box, add_camera, add_scatter, 
 from farfield.addon.bridge.distance.assets import AssetSearch
 from farfield.addon.bridge.distance.placing import originals_shown
 from farfield.addon.bridge.distance.views import choose_frames, place_levels, read_views
-from farfield.addon.core.distance.forecasts import MAX_ERROR, PlacedLevels, Places, find_error, forecast
+from farfield.addon.core.distance.forecasts import (
+    MAX_ERROR,
+    PlacedLevels,
+    Places,
+    find_error,
+    forecast,
+    measure_overhead,
+    predict_seconds,
+)
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 
@@ -84,3 +92,26 @@ def test_frames_of_a_camera_that_moves_with_its_parent_or_by_markers():
     camera.parent = None
     scene.timeline_markers.new("Cut", frame=20).camera = camera
     assert choose_frames(scene, 2) == [1, 100]
+
+
+def test_a_search_with_few_steps_tries_both_ends_and_so_many_errors_between():
+    tried = []
+
+    def fits(error: float) -> bool:
+        tried.append(error)
+        return error >= 3.0
+
+    assert find_error(fits, 1.0, steps=2) == pytest.approx(4.0)
+    assert tried == pytest.approx([1.0, MAX_ERROR, 4.0, 2.0])
+
+
+@pytest.mark.parametrize("overhead", [0.0, 1.5])
+def test_seconds_follow_from_a_render_with_one_sample_and_one_with_some(overhead):
+    single, eight = overhead + 0.25, overhead + 8 * 0.25
+    assert measure_overhead(single, eight, 8) == pytest.approx(overhead)
+    assert predict_seconds(eight, 8, 64, overhead) == pytest.approx(overhead + 64 * 0.25)
+
+
+def test_noise_of_times_gives_no_impossible_overhead():
+    assert measure_overhead(1.0, 0.9, 8) == 1.0 and measure_overhead(1.0, 9.0, 8) == 0.0 and measure_overhead(1.0, 1.0, 1) == 0.0
+    assert predict_seconds(0.9, 8, 64, 1.0) == 1.0

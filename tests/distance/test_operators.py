@@ -348,6 +348,28 @@ def test_drivers_run_without_permission_for_python(camera):
     assert len(drivers) == 3 and all(driver.is_valid and driver.is_simple_expression for driver in drivers)
 
 
+@pytest.mark.parametrize("seconds", [1e-3, 1e4])
+def test_a_budget_of_seconds_is_tried_with_renders(camera, seconds):
+    ball = add_ball(300.0)
+    ball.scale = (30.0, 30.0, 30.0)
+    scene = bpy.context.scene
+    scene.render.engine, scene.cycles.samples, scene.render.resolution_percentage = "CYCLES", 2, 5
+    message = run_to_end(run_job(prepare(scene, [ball], DistanceSettings(**QUICK, seconds_budget=seconds))))
+    (modifier,) = level_modifiers(ball)
+    assert read_node_input(modifier, MAX_ERROR) == 1.0
+    if seconds < 1.0:
+        assert "The budget is too small: a frame takes about " in message and " with a Max Error of " in message
+    else:
+        assert "A frame takes about " in message and "to the originals." in message
+    assert scene.cycles.samples == 2
+
+
+def test_a_budget_of_seconds_needs_cycles(camera):
+    bpy.context.scene.render.engine = "BLENDER_WORKBENCH"
+    message = run_to_end(run_job(prepare(bpy.context.scene, [add_ball()], DistanceSettings(**QUICK, seconds_budget=1.0))))
+    assert "A budget of seconds needs a camera, levels, and Cycles" in message
+
+
 def test_a_measurement_renders_both_and_changes_nothing(camera):
     ball = add_ball(300.0)
     ball.scale = (30.0, 30.0, 30.0)

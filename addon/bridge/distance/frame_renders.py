@@ -1,4 +1,5 @@
-"""Renders of some frames of a scene with the originals and with levels by distance, in another process, so that Blender stays usable.
+"""Renders of some frames of a scene with the originals and with levels by distance, in another process, so that Blender stays usable:
+to measure them, or to find the error with which a frame takes no longer than a budget.
 
 The process gets the scene as a file, and writes the figures to one.
 """
@@ -15,6 +16,7 @@ import bpy
 import numpy as np
 
 from ...compat import compositor_trees, set_file_format
+from ...core.distance.forecasts import RENDER_STEPS, find_error, measure_overhead, predict_seconds
 from ...core.errors import FarfieldError, FileError
 from ...core.files.atomic_write import write_bytes_unsynced
 from ...core.imaging.flip import compare, prepare_image
@@ -24,11 +26,13 @@ from ...core.jobs.progress import Progress
 from ..imaging.images import read_pixels
 from ..snapshots import explain, read_unsaved_images, write_blend, write_unsaved_images
 from ..worker_processes import worker_command
-from .placing import show_levels
+from .placing import scale_errors, show_levels
 from .views import choose_frames
 
 FRAMES = 3
 MAX_SAMPLES = 32
+MAX_TRIALS = RENDER_STEPS + 4  # Renders of a search at most: of originals, with a single sample, and with both limits of the error.
+MIN_TRIAL_SAMPLES, TRIAL_FRACTION = 4, 0.125  # Of trial renders: a part of those of the scene.
 MIN_SECONDS = 0.2  # between two reports of progress
 MEMORY = re.compile(r"Mem:\s*([\d.]+)([KMGT])")  # in the statistics of a render, in binary units
 SAMPLE = re.compile(r"Sample (\d+)/(\d+)")
@@ -46,10 +50,14 @@ class Rendered:
     pixels: np.ndarray
 
 
-def write_scene(folder: Path, scene: bpy.types.Scene) -> None:
-    """Write into `folder` what the process needs of a scene. Unsaved paint strokes on images are included. Raises FileError."""
+def write_scene(folder: Path, scene: bpy.types.Scene, budget: tuple[float, float] | None = None) -> None:
+    """Write into `folder` what the process needs of a scene. Unsaved paint strokes on images are included. Raises FileError.
+
+    budget: seconds of a frame, and the error of its levels in pixels, at least which the process searches for; None to measure.
+    """
     try:
-        metadata = {"scene": scene.name, "frame": scene.frame_current, "images": write_unsaved_images(folder, bpy.data.images)}
+        metadata = {"scene": scene.name, "frame": scene.frame_current, "budget": budget}
+        metadata["images"] = write_unsaved_images(folder, bpy.data.images)
         write_blend(folder / BLEND_FILE, scene)
         (folder / METADATA_FILE).write_text(json.dumps(metadata), encoding="utf-8")
     except (OSError, RuntimeError) as error:
@@ -79,16 +87,18 @@ def main(arguments: list[str]) -> int:
     options = parser.parse_args(arguments)
     exit_when_run_ends(options.heartbeat)
     try:
-        scene = _open_scene(options.folder, run_drivers=options.run_drivers)
-        write_bytes_unsynced(options.folder / FIGURES_FILE, json.dumps(_FrameRenders(options.folder, scene).measure()).encode())
+        scene, budget = _open_scene(options.folder, run_drivers=options.run_drivers)
+        renders = _FrameRenders(options.folder, scene)
+        figures = renders.measure() if budget is None else renders.search(*budget)
+        write_bytes_unsynced(options.folder / FIGURES_FILE, json.dumps(figures).encode())
     except FarfieldError as error:
         print(encode_error(error), file=sys.stderr, flush=True)
         return EXIT_ERROR
     return 0
 
 
-def _open_scene(folder: Path, *, run_drivers: bool) -> bpy.types.Scene:
-    """Return the scene of `write_scene`, prepared to be rendered quickly to PNG files and to no others."""
+def _open_scene(folder: Path, *, run_drivers: bool) -> tuple[bpy.types.Scene, tuple[float, float] | None]:
+    """Return the scene and the budget of `write_scene`. The scene is prepared to be rendered to PNG files and to no others."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     bpy.context.preferences.filepaths.use_scripts_auto_execute = run_drivers
     metadata = json.loads((folder / METADATA_FILE).read_text(encoding="utf-8"))
@@ -100,12 +110,14 @@ def _open_scene(folder: Path, *, run_drivers: bool) -> bpy.types.Scene:
     image = scene.render.image_settings
     set_file_format(image, "PNG")
     image.color_mode, image.color_depth = "RGB", "8"
-    if scene.render.engine == "CYCLES":
-        scene.cycles.samples = min(scene.cycles.samples, MAX_SAMPLES)
     for tree in compositor_trees(scene):
         for node in tree.nodes:
             node.mute = node.mute or node.bl_idname == "CompositorNodeOutputFile"
-    return scene
+    return scene, metadata["budget"]
+
+
+def _compare(before: Rendered, after: Rendered) -> float:
+    return float(compare(prepare_image(before.pixels), prepare_image(after.pixels)).mean())
 
 
 class _FrameRenders:
@@ -114,6 +126,7 @@ class _FrameRenders:
     def __init__(self, folder: Path, scene: bpy.types.Scene) -> None:
         self._folder, self._scene, self._last_report = folder, scene, 0.0
         self._frames = choose_frames(scene, FRAMES)
+        self._count = 2 * len(self._frames)
 
     def measure(self) -> dict[str, object]:
         """Return the figures: the number of frames, their mean FLIP, and mean seconds and maximum memory for originals and levels.
@@ -121,6 +134,8 @@ class _FrameRenders:
         Raises:
             FarfieldError: Blender cannot render the scene.
         """
+        if self._scene.render.engine == "CYCLES":
+            self._scene.cycles.samples = min(self._scene.cycles.samples, MAX_SAMPLES)
         found: dict[str, list[Rendered]] = {ORIGINALS: [], LEVELS: []}
         for number, frame in enumerate(self._frames):
             self._scene.frame_set(frame)
@@ -128,12 +143,45 @@ class _FrameRenders:
                 show_levels(self._scene, is_shown)
                 found[name].append(self._render(2 * number + half, f"Rendering frame {frame} with {name}"))
         pairs = zip(found[ORIGINALS], found[LEVELS], strict=True)
-        flips = [float(compare(prepare_image(before.pixels), prepare_image(after.pixels)).mean()) for before, after in pairs]
+        flips = [_compare(before, after) for before, after in pairs]
         figures = {
             name: {"seconds": float(np.mean([item.seconds for item in renders])), "memory": max(item.memory for item in renders)}
             for name, renders in found.items()
         }
         return {"frames": len(self._frames), "flip": float(np.mean(flips)), **figures}
+
+    def search(self, seconds: float, min_error: float) -> dict[str, object]:
+        """Return the smallest error, at least `min_error`, with which a frame takes at most this long, or None; and of each error that was
+        tried, the error, seconds of a whole frame, and FLIP to the originals.
+
+        Raises:
+            FarfieldError: Blender cannot render the scene.
+        """
+        scene, cycles, self._count = self._scene, self._scene.cycles, MAX_TRIALS
+        samples = cycles.samples
+        tried = min(max(round(TRIAL_FRACTION * samples), MIN_TRIAL_SAMPLES), MAX_SAMPLES, samples)
+        scene.frame_set(self._frames[len(self._frames) // 2])
+        cycles.samples = tried
+        show_levels(scene, False)
+        original = self._render(0, "Rendering the originals")
+        show_levels(scene, True)
+        cycles.samples = 1
+        single = self._render(1, "Rendering levels").seconds
+        cycles.samples, error = tried, min_error
+        trials: list[tuple[float, float, float]] = []
+        overhead: float | None = None
+
+        def fits(candidate: float) -> bool:
+            nonlocal error, overhead
+            scale_errors(scene, candidate / error)
+            error = candidate
+            found = self._render(len(trials) + 2, f"Rendering levels with a Max Error of {candidate:.3g}")
+            if overhead is None:
+                overhead = measure_overhead(single, found.seconds, tried)
+            trials.append((candidate, predict_seconds(found.seconds, tried, samples, overhead), _compare(original, found)))
+            return trials[-1][1] <= seconds
+
+        return {"error": find_error(fits, min_error, RENDER_STEPS), "trials": trials}
 
     def _render(self, number: int, label: str) -> Rendered:
         peak, path = 0, self._folder / f"{number}.png"
@@ -166,5 +214,5 @@ class _FrameRenders:
     def _report(self, renders: float, label: str) -> None:
         """Write that so many `renders` are finished."""
         self._last_report = time.monotonic()
-        fraction = min(renders / (2 * len(self._frames)), 1.0)
+        fraction = min(renders / self._count, 1.0)
         write_bytes_unsynced(self._folder / PROGRESS_FILE, json.dumps({"fraction": fraction, "label": label}).encode())

@@ -114,6 +114,14 @@ def has_levels(scene: bpy.types.Scene) -> bool:
     return any(group.name.startswith(NAME) for group in bpy.data.node_groups) and any(map(level_modifiers, scene.objects))
 
 
+def scale_errors(scene: bpy.types.Scene, factor: float) -> None:
+    """Let the levels that a scene shows leave out `factor` times as many pixels."""
+    for host in find_hosts(scene.objects):
+        for modifier in level_modifiers(host):
+            set_node_input(modifier, MAX_ERROR, factor * read_node_input(modifier, MAX_ERROR))
+        host.update_tag()
+
+
 def shows_levels(objects: Iterable[bpy.types.Object]) -> bool:
     """Return whether any of `objects` has levels and shows them."""
     return any(modifier.show_viewport for item in objects for modifier in level_modifiers(item))

@@ -17,7 +17,7 @@ MARGIN = 0.1  # Radians around the image, for motion blur and shifted lenses.
 UNSEEN_FACTOR = 4.0  # Of the size of a pixel where the camera does not see: shadows are soft, but those of the coarsest level are spots.
 UNSEEN_EXCESS = 1.001  # Of that size above the one from which the first level after the original shows, at least.
 MAX_ERROR = 16.0  # Pixels.
-STEPS = 24  # Of the bisection for a budget.
+STEPS, RENDER_STEPS = 24, 3  # Of the bisection for a budget, and for one of seconds, where each is a render.
 
 
 @dataclass(frozen=True)
@@ -144,14 +144,26 @@ def forecast(placed: Sequence[PlacedLevels], max_error: float, fade_range: float
     return Forecast(counts, sum((count @ levels.triangles for count, levels in zip(counts, placed, strict=True)), np.zeros(1, np.int64)))
 
 
-def find_error(fits: Callable[[float], bool], min_error: float) -> float | None:
-    """Return the smallest error in pixels, at least `min_error`, with which a budget is kept; None if not even `MAX_ERROR` does."""
+def find_error(fits: Callable[[float], bool], min_error: float, steps: int = STEPS) -> float | None:
+    """Return the smallest error in pixels, at least `min_error`, with which a budget is kept, after so many steps of bisection; None if not
+    even `MAX_ERROR` does."""
     if fits(min_error):
         return min_error
     low, high = min_error, MAX_ERROR
     if high <= low or not fits(high):
         return None
-    for _ in range(STEPS):
+    for _ in range(steps):
         error = math.sqrt(low * high)
         low, high = (low, error) if fits(error) else (error, high)
     return high
+
+
+def predict_seconds(seconds: float, tried: int, samples: int, overhead: float) -> float:
+    """Return how long a render with `samples` samples takes of which one with `tried` samples took `seconds`, of which `overhead` does not
+    depend on samples."""
+    return overhead + max(seconds - overhead, 0.0) * samples / tried
+
+
+def measure_overhead(single: float, seconds: float, tried: int) -> float:
+    """Return the seconds of a render that do not depend on the number of samples, from one with a single sample and one with `tried`."""
+    return min(max((tried * single - seconds) / (tried - 1), 0.0), single) if tried > 1 else 0.0

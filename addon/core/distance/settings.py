@@ -33,7 +33,7 @@ class DistanceSettings(Settings):
     min_triangles: int = setting(500, "Objects with fewer triangles stay as they are", minimum=0, maximum=1_000_000_000)
     perceptual_levels: bool = setting(
         True,
-        "Make meshes with fewer triangles: decimated meshes, perceptual levels where these stay heavy, foliage with fewer and larger leaves",
+        "Make meshes with fewer triangles: decimated ones, perceptual levels where these stay heavy, foliage with fewer and larger leaves",
     )
     billboard_cloud: bool = setting(
         True, "Make a billboard cloud, a few quads with images of the original, where meshes stay heavy far away"
@@ -53,6 +53,15 @@ class DistanceSettings(Settings):
         maximum=1e6,
         group="Budget",
         panel_label="Textures (MB)",
+    )
+    seconds_budget: float = setting(
+        0.0,
+        "Seconds that Cycles may take for a frame on this computer. Max Error is raised until a trial render of one frame is that fast. "
+        "0 is no limit",
+        minimum=0.0,
+        maximum=1e6,
+        group="Budget",
+        panel_label="Seconds",
     )
 
 

@@ -198,7 +198,7 @@ def _run(scene: bpy.types.Scene, prepare: Callable[[], Job], subject: str, remar
         with bpy.context.temp_override(**context):
             scene.view_layers[0].update()
             job = prepare()
-        result = yield from subprogress(_wait_for_core(job), 0.0, job.core_fraction)
+        result = yield from subprogress(in_thread(job.core_steps()), 0.0, job.core_fraction)
         yield from subprogress(_in_scene(job.scene_steps(result), context), job.core_fraction, 1.0)
     except Cancelled:
         raise
@@ -206,8 +206,9 @@ def _run(scene: bpy.types.Scene, prepare: Callable[[], Job], subject: str, remar
         remarks.append(f"No {subject}: {error}")
 
 
-def _wait_for_core(job: Job) -> Steps[object]:
-    thread = BackgroundThread(job.core_steps())
+def in_thread(steps: Steps[object]) -> Steps[object]:
+    """Run steps that do not use Blender in a thread."""
+    thread = BackgroundThread(steps)
     try:
         while not thread.wait(POLL):
             yield thread.progress

@@ -11,18 +11,30 @@ from ...bridge.cameras import read_scene_camera
 from ...bridge.distance.assets import Asset, AssetSearch
 from ...bridge.distance.chains import Chain, read_chains
 from ...bridge.distance.fingerprints import fingerprint
-from ...bridge.distance.placing import attach_chain, clean_up, describe_bounces, detach, originals_shown, with_placements
+from ...bridge.distance.placing import (
+    attach_chain,
+    clean_up,
+    describe_bounces,
+    detach,
+    has_levels,
+    originals_shown,
+    scale_errors,
+    with_placements,
+)
 from ...bridge.distance.views import read_views
 from ...bridge.objects import find_by_uid
 from ...core.distance.settings import AssetOptions, DistanceSettings
-from ...core.errors import GeometryError
+from ...core.errors import Cancelled, FarfieldError, GeometryError
 from ...core.jobs.progress import Progress, Steps, subprogress
+from ...core.json_values import parse_json
 from ...core.messages import format_count, join_sentences, list_first, quote_names
 from .analysis import read_options
 from .budgets import Budget
-from .build import build_chain
+from .build import build_chain, in_thread
+from .measuring import prepare_search
 
 ATTACH_FRACTION = 0.98
+SEARCH_FRACTION = 0.5  # Of the work where trial renders follow the build.
 
 
 @dataclass
@@ -75,18 +87,21 @@ class DistanceJob:
         known = {chain.fingerprint: chain for chain in read_chains()}
         reused = set(known)
         work = np.cumsum([0.0, *(float(asset.triangles) ** 0.5 * (key not in known) for asset, key in zip(assets, keys, strict=True))])
-        fractions = (ATTACH_FRACTION * work / max(work[-1], 1e-9)).tolist()
+        attach_fraction = SEARCH_FRACTION if self.settings.seconds_budget else ATTACH_FRACTION
+        fractions = (attach_fraction * work / max(work[-1], 1e-9)).tolist()
         for index, (asset, key) in enumerate(zip(assets, keys, strict=True)):
             if key not in known:
                 prefix = f"{asset.name} ({index + 1} of {len(assets)}): "
                 steps = build_chain(asset, key, self._settings_of(asset), self.remarks)
                 known[key] = yield from subprogress(steps, *fractions[index : index + 2], prefix)
-        yield Progress(ATTACH_FRACTION, "Adding modifiers")
+        yield Progress(attach_fraction, "Adding modifiers")
         chains = [(asset, known[key]) for asset, key in zip(assets, keys, strict=True)]
         budget = Budget(self.settings, [(asset, chain, self._options_of(asset).error_factor) for asset, chain in chains], views)
         max_error = budget.find_error(self.other_triangles)
         figures = budget.describe(max_error, self.other_triangles)  # Before levels that nothing shows are removed.
         self._attach(scene, objects, chains, max_error)
+        if self.settings.seconds_budget:
+            figures += " " + (yield from subprogress(self._fit_time(scene, max_error), attach_fraction, 1.0))
         self.chains = [(known[key], len(asset.matrices), key in reused) for asset, key in zip(assets, keys, strict=True)]
         return self._summary(scene, figures)
 
@@ -120,6 +135,28 @@ class DistanceJob:
         clean_up(scene)
         if hasattr(scene, "farfield_distance"):  # Scripts may run without the panels.
             scene.farfield_distance.figures = ""
+
+    def _fit_time(self, scene: bpy.types.Scene, max_error: float) -> Steps[str]:
+        """Raise the error of the levels, now `max_error`, until a frame takes no longer than the budget; return a sentence about it."""
+        if scene.render.engine != "CYCLES" or read_scene_camera(scene) is None or not has_levels(scene):
+            return "A budget of seconds needs a camera, levels, and Cycles as the render engine."
+        try:
+            found = parse_json((yield from in_thread(prepare_search(scene, self.settings.seconds_budget, max_error).core_steps())))
+        except Cancelled:
+            raise
+        except FarfieldError as error:
+            return f"The budget of seconds was not applied: {error}"
+        trials = {error: (seconds, flip) for error, seconds, flip in found["trials"]}
+        error = found["error"]
+        if error is None:
+            fastest = min(trials, key=lambda tried: trials[tried][0])
+            return (
+                f"The budget is too small: a frame takes about {trials[max_error][0]:,.1f} s, and still {trials[fastest][0]:,.1f} s with a "
+                f"Max Error of {fastest:.3g} pixels."
+            )
+        scale_errors(scene, error / max_error)
+        raised = f"Max Error was raised to {error:.3g} pixels for the budget: a" if error > max_error else "A"
+        return f"{raised} frame takes about {trials[error][0]:,.1f} s, with a FLIP of {trials[error][1]:.3f} to the originals."
 
     def _summary(self, scene: bpy.types.Scene, figures: str) -> str:
         ready = [chain for chain, _, _ in self.chains if len(chain.collections) > 1]

@@ -1,4 +1,4 @@
-"""Time, memory and image with the originals and with levels by distance: a job that renders some frames in a process of its own."""
+"""Time, memory and image with the originals and with levels by distance: jobs that render some frames in a process of their own."""
 
 import json
 import shutil
@@ -25,18 +25,14 @@ POLL_SECONDS = 0.1
 
 
 @dataclass
-class MeasureJob:
-    """Renders up to three frames twice each, and stores the figures for the panel.
+class FrameRenders:
+    """Renders of a copy of a scene.
 
     Attributes:
-        scene_uid: the scene.
-        folder: holds a copy of it, and is deleted at the end.
+        folder: holds the copy, and is deleted at the end.
         run_drivers: whether its drivers may run any Python.
     """
 
-    core_fraction = 1.0
-
-    scene_uid: int
     folder: Path
     run_drivers: bool
 
@@ -64,6 +60,15 @@ class MeasureJob:
         finally:
             shutil.rmtree(self.folder, ignore_errors=True)
 
+
+@dataclass
+class MeasureJob(FrameRenders):
+    """Renders up to three frames twice each, and stores the figures for the panel. scene_uid: the scene."""
+
+    core_fraction = 1.0
+
+    scene_uid: int
+
     def scene_steps(self, core_result: str) -> Steps[str]:
         """Store the figures.
 
@@ -80,13 +85,23 @@ class MeasureJob:
 
 def prepare(scene: bpy.types.Scene) -> MeasureJob:
     """Write a copy of `scene` and return the job that renders it. Raises FileError."""
+    return MeasureJob(_write(scene), may_run_python_drivers(), scene.session_uid)
+
+
+def prepare_search(scene: bpy.types.Scene, seconds: float, min_error: float) -> FrameRenders:
+    """Write a copy of `scene`, whose levels have the error `min_error` in pixels, and return the renders that search for the smallest error
+    with which a frame takes at most so many seconds. Raises FileError."""
+    return FrameRenders(_write(scene, (seconds, min_error)), may_run_python_drivers())
+
+
+def _write(scene: bpy.types.Scene, budget: tuple[float, float] | None = None) -> Path:
     folder = create_temporary_folder()
     try:
-        write_scene(folder, scene)
+        write_scene(folder, scene, budget)
     except FarfieldError:
         shutil.rmtree(folder, ignore_errors=True)
         raise
-    return MeasureJob(scene.session_uid, folder, may_run_python_drivers())
+    return folder
 
 
 def describe_figures(figures: str) -> str:
