@@ -49,7 +49,8 @@ class Rendered:
 def write_scene(folder: Path, scene: bpy.types.Scene) -> None:
     """Write into `folder` what the process needs of a scene. Unsaved paint strokes on images are included. Raises FileError."""
     try:
-        metadata = {"scene": scene.name, "frame": scene.frame_current, "images": write_unsaved_images(folder, bpy.data.images)}
+        images = [image for image in bpy.data.images if image.source in {"FILE", "GENERATED"} and image.library is None]
+        metadata = {"scene": scene.name, "frame": scene.frame_current, "images": write_unsaved_images(folder, images)}
         write_blend(folder / BLEND_FILE, scene)
         (folder / METADATA_FILE).write_text(json.dumps(metadata), encoding="utf-8")
     except (OSError, RuntimeError) as error:
