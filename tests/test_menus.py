@@ -39,6 +39,13 @@ def drawn(name):
     return layout
 
 
+def draw(menu):
+    """Return what a menu of Farfield contains."""
+    layout, entries = Layout(), getattr(bpy.types, menu).entries
+    getattr(bpy.types, menu).draw(type("Menu", (), {"layout": layout, "entries": entries})(), bpy.context)
+    return layout
+
+
 def describe(name):
     """Return the type of an operator, with its name and properties."""
     return getattr(bpy.ops.farfield, name.removeprefix("farfield.")).get_rna_type()
@@ -46,9 +53,11 @@ def describe(name):
 
 @pytest.mark.parametrize("name", sorted(menus.MENUS))
 def test_a_menu_of_blender_has_its_operators_once(name):
-    layout = drawn(name)
+    (menu,) = drawn(name).menus
+    assert getattr(bpy.types, menu).bl_label == "Farfield", "the word that users search for"
+    layout = draw(menu)
     names = [entry for entry, _, _ in layout.entries]
-    assert names == [f"farfield.{entry.operator}" for entry in menus.MENUS[name]] and (names or layout.menus == ["FARFIELD_MT_object"])
+    assert names == [f"farfield.{entry.operator}" for entry in menus.MENUS[name]] and len(set(names)) == len(names)
     for identifier, text, properties in layout.entries:
         rna = describe(identifier)
         assert text or rna.name
@@ -57,8 +66,7 @@ def test_a_menu_of_blender_has_its_operators_once(name):
 
 
 def test_the_menu_of_objects_has_operators_of_all_tools_for_objects():
-    layout = Layout()
-    menus.FARFIELD_MT_object.draw(type("Menu", (), {"layout": layout})(), bpy.context)
+    layout = draw(menus.menu_name("VIEW3D_MT_object"))
     tools = {name.removeprefix("farfield.").partition("_")[0] for name, _, _ in layout.entries}
     assert tools == {"distance", "texmesh", "billboards", "btf", "photos", "unwrap", "bdam", "clipbox"}
     assert all(describe(name).name for name, _, _ in layout.entries)

@@ -47,7 +47,7 @@ def test_settings_are_shown_where_they_count():
     group = bpy.context.scene.farfield_clipbox
     assert shown("clipbox", "_terrain") == ["terrain", "seed", "scale"]
     group.terrain = "forest"
-    assert shown("clipbox", "_terrain") == ["terrain", "source", "source_size", "forest_spacing", "forest_hills", "seed", "scale"]
+    assert shown("clipbox", "_terrain") == ["terrain", "source", "plant_size", "forest_spacing", "forest_hills", "seed", "scale"]
     assert "roughness" not in shown("clipbox", "_detail")
     group.subdivided_boxes = 1
     assert "roughness" in shown("clipbox", "_detail")

@@ -41,9 +41,9 @@ def write_unsaved_images(folder: Path, images: Iterable[bpy.types.Image]) -> dic
 
 
 def read_unsaved_images(folder: Path, files: Mapping[str, str]) -> None:
-    """Give the images of this file the pixels that `write_unsaved_images` has written. Raises OSError, KeyError or ValueError."""
-    for name, file in files.items():
-        bpy.data.images[name].pixels.foreach_set(np.load(folder / file, allow_pickle=False).ravel())
+    """Give the images of this file the pixels that `write_unsaved_images` has written. Raises OSError or ValueError."""
+    for name in files.keys() & bpy.data.images.keys():
+        bpy.data.images[name].pixels.foreach_set(np.load(folder / files[name], allow_pickle=False).ravel())
 
 
 def explain(error: Exception) -> str:

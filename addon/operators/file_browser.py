@@ -1,5 +1,6 @@
 """File browsers that open where the same operator opened or wrote a file last."""
 
+import itertools
 import os
 from pathlib import Path
 
@@ -31,6 +32,12 @@ def find_start_folder(operator_name: str, context: bpy.types.Context, folder: Pa
     """
     known = context.window_manager.get(FOLDERS, {}).get(operator_name)
     return Path(known) if known and Path(known).is_dir() else folder or default_folder()
+
+
+def propose_folder(path: Path) -> Path:
+    """Return `path`, with a number if that exists already: a proposal replaces nothing."""
+    paths = (path if number == 1 else path.with_name(f"{path.name} {number}") for number in itertools.count(1))
+    return next(each for each in paths if not each.exists())
 
 
 def remember_folder(operator: bpy.types.Operator, context: bpy.types.Context, path: Path) -> None:

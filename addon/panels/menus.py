@@ -15,17 +15,7 @@ class Entry(NamedTuple):
     properties: tuple[tuple[str, str], ...] = ()
 
 
-class FARFIELD_MT_object(bpy.types.Menu):
-    """What Farfield makes of the selected objects"""
-
-    bl_idname = "FARFIELD_MT_object"
-    bl_label = "Farfield"
-
-    def draw(self, _context: bpy.types.Context) -> None:
-        """Draw the operators."""
-        _draw(self.layout, OF_OBJECTS)
-
-
+UNWRAP = (Entry("unwrap"), Entry("unwrap_overlay"))
 OF_OBJECTS = (
     Entry("distance_build", "MOD_DECIM"),
     Entry("texmesh_levels", "MESH_ICOSPHERE"),
@@ -37,10 +27,10 @@ OF_OBJECTS = (
     Entry("bdam_freeze", "FREEZE"),
     Entry("clipbox_convert_to_mesh", "MESH_DATA"),
 )
-UNWRAP = (Entry("unwrap"), Entry("unwrap_overlay"))
+# What is in the menu *Farfield* of each of these menus: a search for that word finds all of it.
 MENUS: dict[str, tuple[Entry, ...]] = {
     "VIEW3D_MT_mesh_add": (Entry("clipbox_create", "WORLD_DATA", "Clip-Box Terrain"), Entry("bdam_load", "RNDCURVE", "Large Terrain")),
-    "VIEW3D_MT_object": (),
+    "VIEW3D_MT_object": OF_OBJECTS,
     "VIEW3D_MT_uv_map": UNWRAP,
     "IMAGE_MT_uvs": UNWRAP,
     "IMAGE_MT_image": (Entry("restore_mask"), Entry("restore_image"), Entry("photos_register")),
@@ -54,38 +44,56 @@ MENUS: dict[str, tuple[Entry, ...]] = {
         Entry("btf_export", text="Relightable Textures"),
     ),
 }
-_added: list[tuple[str, Callable[[bpy.types.Menu, bpy.types.Context], None]]] = []
 
 
-def _draw(layout: bpy.types.UILayout, entries: tuple[Entry, ...]) -> None:
-    for entry in entries:
-        operator = layout.operator(f"farfield.{entry.operator}", icon=entry.icon, **({"text": entry.text} if entry.text else {}))
-        for name, value in entry.properties:
-            setattr(operator, name, value)
+class FarfieldMenu:
+    """Mixin of the menus, each in one of Blender's. entries: its operators."""
+
+    bl_label = "Farfield"
+    entries: tuple[Entry, ...] = ()
+
+    def draw(self, _context: bpy.types.Context) -> None:
+        """Draw the operators."""
+        for entry in self.entries:
+            operator = self.layout.operator(f"farfield.{entry.operator}", icon=entry.icon, **({"text": entry.text} if entry.text else {}))
+            for name, value in entry.properties:
+                setattr(operator, name, value)
 
 
-def _drawer(entries: tuple[Entry, ...]) -> Callable[[bpy.types.Menu, bpy.types.Context], None]:
+def menu_name(parent: str) -> str:
+    """Return the identifier of the menu that a menu of Blender gets."""
+    return f"FARFIELD_MT_{parent.lower()}"
+
+
+def create_menu(parent: str, entries: tuple[Entry, ...]) -> type[bpy.types.Menu]:
+    """Return the class of the menu that a menu of Blender gets."""
+    members = {"__doc__": "Operators of Farfield", "__module__": __name__, "bl_idname": menu_name(parent), "entries": entries}
+    return type(menu_name(parent), (FarfieldMenu, bpy.types.Menu), members)
+
+
+def _drawer(name: str) -> Callable[[bpy.types.Menu, bpy.types.Context], None]:
     def draw(self: bpy.types.Menu, _context: bpy.types.Context) -> None:
         self.layout.separator()
-        if entries:
-            _draw(self.layout, entries)
-        else:
-            self.layout.menu(FARFIELD_MT_object.bl_idname)
+        self.layout.menu(name)
 
     return draw
 
 
+register_classes, unregister_classes = bpy.utils.register_classes_factory([create_menu(*menu) for menu in MENUS.items()])
+_added: list[tuple[str, Callable[[bpy.types.Menu, bpy.types.Context], None]]] = []
+
+
 def register() -> None:
-    """Register the menu of objects and extend those of Blender."""
-    bpy.utils.register_class(FARFIELD_MT_object)
-    for name, entries in MENUS.items():
-        _added.append((name, _drawer(entries)))
-        getattr(bpy.types, name).append(_added[-1][1])
+    """Register the menus, and add them to those of Blender."""
+    register_classes()
+    for parent in MENUS:
+        _added.append((parent, _drawer(menu_name(parent))))
+        getattr(bpy.types, parent).append(_added[-1][1])
 
 
 def unregister() -> None:
     """Undo `register`."""
-    for name, draw in _added:
-        getattr(bpy.types, name).remove(draw)
+    for parent, draw in _added:
+        getattr(bpy.types, parent).remove(draw)
     _added.clear()
-    bpy.utils.unregister_class(FARFIELD_MT_object)
+    unregister_classes()

@@ -4,7 +4,7 @@ import bpy
 
 from ..core.packages.settings import PackageSettings
 from ..core.settings import describe
-from ..operators.packages.operators import FARFIELD_OT_packages_export, propose_folder
+from ..operators.packages.operators import FARFIELD_OT_packages_export, default_folder
 from .sidebar import SettingsPanel, ToolPanel, draw_button, draw_message, draw_progress_bar, settings_column
 
 
@@ -20,7 +20,7 @@ class FARFIELD_PT_packages(SettingsPanel, ToolPanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the folder, the settings and the button. While a job runs, they are disabled and the progress bar replaces the button."""
-        settings_column(self.layout).prop(context.scene.farfield_packages, "folder", placeholder=str(propose_folder(context)))
+        settings_column(self.layout).prop(context.scene.farfield_packages, "folder", placeholder=str(default_folder(context)))
         self.draw_settings(context)
         if draw_progress_bar(self.layout):
             return

@@ -1,15 +1,15 @@
-"""Menus of presets, one per tool, which the headers of panels open, with the pictures of those presets that have one."""
+"""Menus of presets, one per tool, which the headers of panels open, with a choice by pictures where presets have some."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import bpy
 import bpy.utils.previews
 
 from ..operators import documentation, presets
 
-COLUMNS = 3  # pictures side by side
-PICTURE_SIZE = 4.0  # widths of a button
-WIDTHS = {True: 19, False: 12}  # for menus with pictures, and without
+PICTURE_SIZE = 5.0  # widths of a button, for the chosen picture and all others
 pictures: bpy.utils.previews.ImagePreviewCollection | None = None
 
 
@@ -24,29 +24,29 @@ class PresetsPanel:
     bl_space_type = "PROPERTIES"
     bl_region_type = "HEADER"  # It is shown as a popover only.
     bl_label = "Presets"
+    bl_ui_units_x = 12
     tool = ""
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Draw the presets of Farfield, those of the user, and a field that saves a new one."""
+        """Draw a choice by pictures, the presets of Farfield, those of the user, and a field that saves a new one."""
         layout = self.layout
         layout.operator_context = "EXEC_DEFAULT"
-        found = presets.find_presets(self.tool)
-        with_pictures = {name: path for name, path in found.items() if str(path) in pictures}
-        grid = layout.grid_flow(row_major=True, columns=COLUMNS, even_columns=True)
-        for name, path in with_pictures.items():
-            cell = grid.column(align=True)
-            cell.template_icon(icon_value=pictures[str(path)].icon_id, scale=PICTURE_SIZE)
-            draw_preset(cell, self.tool, name)
+        if hasattr(context.window_manager, picture_property(self.tool)):
+            choice = layout.column(align=True)
+            choice.enabled = presets.FARFIELD_OT_preset_apply.poll(context)
+            choice.template_icon_view(
+                context.window_manager, picture_property(self.tool), show_labels=True, scale=PICTURE_SIZE, scale_popup=PICTURE_SIZE
+            )
+            choice.label(text="Click the picture for all others")
         column = layout.column(align=True)
         draw_preset(column, self.tool, "", "Defaults")
-        for name, path in found.items():
-            if name not in with_pictures:
-                row = column.row(align=True)
-                draw_preset(row, self.tool, name)
-                if path.parent != presets.BUILT_IN / self.tool:
-                    row.operator_context = "INVOKE_DEFAULT"
-                    remove = row.operator(presets.FARFIELD_OT_preset_remove.bl_idname, text="", icon="REMOVE")
-                    remove.tool, remove.name = self.tool, name
+        for name, path in presets.find_presets(self.tool).items():
+            row = column.row(align=True)
+            draw_preset(row, self.tool, name)
+            if path.parent != presets.BUILT_IN / self.tool:
+                row.operator_context = "INVOKE_DEFAULT"
+                remove = row.operator(presets.FARFIELD_OT_preset_remove.bl_idname, text="", icon="REMOVE")
+                remove.tool, remove.name = self.tool, name
         row = layout.row(align=True)
         row.prop(context.window_manager, "preset_name", text="")
         save = row.operator(presets.FARFIELD_OT_preset_save.bl_idname, text="", icon="ADD")
@@ -66,10 +66,23 @@ def menu_name(tool: str) -> str:
 
 def create_menu(tool: str) -> type[bpy.types.Panel]:
     """Return the class of the menu of a tool."""
-    has_pictures = any(picture_of(path).exists() for path in presets.list_presets(presets.BUILT_IN / tool))
     members = {"__doc__": "Presets of the settings of this tool.", "__module__": __name__, "tool": tool}
-    members |= {"bl_idname": menu_name(tool), "bl_ui_units_x": WIDTHS[has_pictures]}
-    return type(menu_name(tool), (PresetsPanel, bpy.types.Panel), members)
+    return type(menu_name(tool), (PresetsPanel, bpy.types.Panel), members | {"bl_idname": menu_name(tool)})
+
+
+def picture_property(tool: str) -> str:
+    """Return the name of the property of the window manager with the preset of a tool that was chosen by its picture."""
+    return f"farfield_{tool}_picture"
+
+
+def create_picture_property(tool: str, names: Sequence[str], icons: Sequence[int]) -> Any:
+    """Return a property for the presets `names` of a tool with the numbers of their pictures. To choose one applies it."""
+
+    def apply(owner: bpy.types.WindowManager, _context: bpy.types.Context) -> None:
+        bpy.ops.farfield.preset_apply("EXEC_DEFAULT", True, tool=tool, name=getattr(owner, picture_property(tool)))
+
+    items = [(name, name, "", icon, index) for index, (name, icon) in enumerate(zip(names, icons, strict=True))]
+    return bpy.props.EnumProperty(name="Preset", description="Choose a preset by its picture", items=items, update=apply)
 
 
 MENUS = tuple(create_menu(tool) for tool in documentation.TOOLS)
@@ -81,9 +94,10 @@ def register() -> None:
     global pictures
     pictures = bpy.utils.previews.new()
     for tool in documentation.TOOLS:
-        for path in presets.list_presets(presets.BUILT_IN / tool):
-            if picture_of(path).exists():
-                pictures.load(str(path), str(picture_of(path)), "IMAGE")
+        paths = [path for path in presets.list_presets(presets.BUILT_IN / tool) if picture_of(path).exists()]
+        icons = [pictures.load(str(path), str(picture_of(path)), "IMAGE").icon_id for path in paths]
+        if paths:
+            setattr(bpy.types.WindowManager, picture_property(tool), create_picture_property(tool, [path.stem for path in paths], icons))
     register_classes()
 
 
@@ -91,5 +105,8 @@ def unregister() -> None:
     """Undo `register`."""
     global pictures
     unregister_classes()
+    for tool in documentation.TOOLS:
+        if hasattr(bpy.types.WindowManager, picture_property(tool)):
+            delattr(bpy.types.WindowManager, picture_property(tool))
     bpy.utils.previews.remove(pictures)
     pictures = None

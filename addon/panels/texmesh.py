@@ -8,8 +8,9 @@ from ..bridge.units import format_length
 from ..core.errors import SettingsError
 from ..core.settings import describe
 from ..core.texmesh.perception.recorded_answers import estimate_recorded
-from ..core.texmesh.settings import InspectionSettings, LevelSettings, ResearchSettings, SceneSettings
-from ..operators.texmesh import preview
+from ..core.texmesh.settings import InspectionSettings, LevelSettings, ResearchSettings, SceneSettings, TexmeshSettings
+from ..operators import job_run, properties
+from ..operators.texmesh import estimates, preview
 from ..operators.texmesh.answer_files import FARFIELD_OT_texmesh_add_answers, FARFIELD_OT_texmesh_save_answers
 from ..operators.texmesh.calibration import (
     FARFIELD_OT_texmesh_calibrate,
@@ -28,6 +29,7 @@ from ..operators.texmesh.operators import (
     disabled_reason,
 )
 from ..operators.texmesh.overlays import FARFIELD_OT_texmesh_overlay, FARFIELD_OT_texmesh_plot, overlay
+from ..operators.texmesh.sources import source_objects
 from .sidebar import (
     BLUE,
     YELLOW,
@@ -71,6 +73,19 @@ class FARFIELD_PT_texmesh(TexmeshSettingsPanel, ToolPanel, bpy.types.Panel):
         if reason:
             draw_message(layout, reason, "INFO")
         draw_button(layout, FARFIELD_OT_texmesh_levels, "Make Levels", "MOD_DECIM")
+        if not reason:
+            draw_estimate(layout, context)
+
+
+def draw_estimate(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Draw how long the levels of the selected objects take, if that is known."""
+    group = context.scene.farfield_texmesh
+    triangles = estimates.count_source_triangles(source_objects(context), context.evaluated_depsgraph_get())
+    times = estimates.estimator.estimate(triangles, properties.read(TexmeshSettings, group))
+    if times is not None:
+        shortest, longest = (job_run.format_duration(float(f"{seconds:.1g}")) for seconds in times)
+        duration = job_run.format_duration(times[0]) if times[0] == times[1] else f"{shortest} to {longest}"
+        draw_message(layout, f"About {duration}{', without the cloud' if group.billboard_cloud else ''}", "TIME")
 
 
 class FARFIELD_PT_texmesh_levels(SidebarPanel, bpy.types.Panel):

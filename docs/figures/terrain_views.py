@@ -104,7 +104,7 @@ def copses(path: Path, width: int, samples: int) -> None:
         tree = Path(folder) / "tree.npy"
         write_tree(tree, seed=3)
         settings = ClipboxSettings(
-            terrain="forest", source=str(tree), source_size=40.0, forest_hills=30.0, resolution=192, boxes=7, voxel_size=0.5, seed=1
+            terrain="forest", source=str(tree), plant_size=40.0, forest_hills=30.0, resolution=192, boxes=7, voxel_size=0.5, seed=1
         )
         _render_view(path, width, samples, settings, np.array([0.0, 0.0, 80.0]), np.array([300.0, 160.0, 0.0]))
 

@@ -262,7 +262,7 @@ def file_terrains(folder: Path) -> dict[str, ClipboxSettings]:
         "heights": ClipboxSettings(terrain="heights", source=str(folder / "hills.npy"), source_size=70.0),
         "bytes": ClipboxSettings(terrain="volume", source=str(model), source_size=50.0),
         "reals": ClipboxSettings(terrain="volume", source=str(folder / "real.npy"), source_size=50.0, scale=1.3),
-        "forest": ClipboxSettings(terrain="forest", source=str(model), source_size=25.0, forest_hills=6.0),
+        "forest": ClipboxSettings(terrain="forest", source=str(model), plant_size=25.0, forest_hills=6.0),
     }
 
 

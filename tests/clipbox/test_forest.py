@@ -26,7 +26,7 @@ def hook() -> np.ndarray:
 def hook_forest(folder: Path, hills: float = 0.0, spacing: float = 48.0, seed: int = 3) -> Forest:
     """Hooks, the largest 24 scene units high, with one scene unit per voxel."""
     np.save(folder / "hook.npy", hook())
-    settings = ClipboxSettings(terrain="forest", source=str(folder / "hook.npy"), source_size=24.0)
+    settings = ClipboxSettings(terrain="forest", source=str(folder / "hook.npy"), plant_size=24.0)
     return Forest(read_voxel_model(settings, READERS), spacing, hills, seed)
 
 

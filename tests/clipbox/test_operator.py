@@ -247,7 +247,7 @@ def test_steep_ground_of_a_forest_is_green(tmp_path):
     solid = np.zeros((12, 12, 20), bool)
     solid[4:8, 4:8], solid[:, :, 12:] = True, True
     np.save(tmp_path / "baum.npy", solid)
-    forest = create(terrain="forest", source=str(tmp_path / "baum.npy"), source_size=20.0)
+    forest = create(terrain="forest", source=str(tmp_path / "baum.npy"))
     sine = create(terrain="sine")
     red, green, blue, _ = rock = ground_group(forest).inputs["Rock"].default_value
     assert green > 1.3 * max(red, blue) and tuple(ground_group(sine).inputs["Rock"].default_value) != tuple(rock)

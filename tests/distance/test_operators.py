@@ -386,6 +386,22 @@ def test_a_measurement_renders_both_and_changes_nothing(camera):
     assert not scene.farfield_distance.figures
 
 
+def test_unsaved_images_do_not_hinder_a_measurement(camera):
+    ball = add_ball(300.0)
+    build(**QUICK)
+    for name, is_tiled in (("painted", False), ("unused", False), ("tiles", True)):
+        image = bpy.data.images.new(name, 8, 8, tiled=is_tiled)
+        image.pixels[0] = 0.5
+        image.update()
+        assert image.is_dirty
+        if name == "painted":
+            node = ball.data.materials[0].node_tree.nodes.new("ShaderNodeTexImage")
+            node.image = image
+    bpy.context.scene.render.resolution_percentage, bpy.context.scene.render.engine = 5, "CYCLES"
+    bpy.context.scene.cycles.samples = 1
+    assert bpy.ops.farfield.distance_measure() == {"FINISHED"}
+
+
 def test_a_measurement_that_is_cancelled_ends_its_process_and_deletes_its_copy_of_the_scene(camera):
     add_ball(300.0)
     build(**QUICK)

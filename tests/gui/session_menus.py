@@ -8,7 +8,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not add
 
 from session import UserInput, current_job, results, save_screenshot, start_session, wait_for_job
 
-SEARCHES = {"clip": "Create Clip-Box Terrain", "perceptual levels": "Make Perceptual Levels", "billboard": "Build Billboard Cloud"}
+SEARCHES = {
+    "clip": "Create Clip-Box Terrain",
+    "perceptual levels": "Make Perceptual Levels",
+    "billboard": "Build Billboard Cloud",
+    "farfield clip": "Create Clip-Box Terrain",
+}
 
 
 def search(user: UserInput, text: str) -> Iterator[float]:

@@ -28,6 +28,20 @@ def open_menu(user: UserInput, tool: str) -> Iterator[float]:
     yield 2.0
 
 
+def choose_by_picture(user: UserInput) -> Iterator[float]:
+    """Open the menu of the presets of terrains, click the picture in it, and then one of those that appear."""
+    yield from open_menu(user, "clipbox")
+    viewport = user.region("WINDOW")
+    x, y = viewport.x + viewport.width // 2, viewport.y + viewport.height // 2
+    for name, down in (("chosen", 0), ("others", 60)):  # The picture, then the second one of those that appear.
+        user.move(x, y - down)
+        yield 1.0
+        save_screenshot(f"4-{name}")
+        user.press("LEFTMOUSE", x, y - down)
+        yield 2.0
+    yield from close_menu(user)
+
+
 def close_menu(user: UserInput) -> Iterator[float]:
     """Press Esc in the 3D Viewport."""
     viewport = user.region("WINDOW")
@@ -58,23 +72,31 @@ def session() -> Iterator[float]:
     yield from user.press_undo(redo=True)
     results["redone"] = bpy.context.scene.farfield_clipbox.terrain
 
+    yield from choose_by_picture(user)
+    results["by_picture"] = {
+        "terrain": bpy.context.scene.farfield_clipbox.terrain,
+        "name": bpy.context.window_manager.farfield_clipbox_picture,
+    }
+    yield from user.press_undo()
+    results["by_picture_undone"] = bpy.context.scene.farfield_clipbox.terrain
+
     space = user.area.spaces.active
     results["clip_end_before"] = space.clip_end
     yield from user.press_and_start("farfield.clipbox_create")
     yield from wait_for_job()
     yield 4.0
-    save_screenshot("4-created")
+    save_screenshot("5-created")
     results["clip_end"] = space.clip_end
     results["sentences"] = module("addon.operators.results").read_result(bpy.context.scene, "clipbox")
 
     module("addon.operators.results").store_result(bpy.context.scene, "clipbox", DETAILS)
     module("addon.operators.long_work").redraw_sidebars(bpy.context.window_manager)
     yield 2.0
-    save_screenshot("5-result")
+    save_screenshot("6-result")
     x, y = yield from user.find_button("farfield.details")
     user.press("LEFTMOUSE", x, y)
     yield 2.0
-    save_screenshot("6-details")
+    save_screenshot("7-details")
     yield from close_menu(user)
 
     package = module("addon.operators.user_cache").PACKAGE

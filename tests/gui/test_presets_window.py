@@ -22,10 +22,14 @@ def test_a_preset_is_one_undo_step(results):
     assert (results["applied"], results["undone"], results["redone"]) == ("islands", "cascades", "islands")
 
 
+def test_a_preset_is_chosen_by_its_picture(results):
+    assert results["by_picture"] == {"terrain": "spheres", "name": "Asteroids"} and results["by_picture_undone"] == "islands"
+
+
 def test_a_new_terrain_is_within_the_clipping_range_and_reported(results):
     assert results["clip_end"] > 20_000.0 > results["clip_end_before"]
-    first, *others = results["sentences"]
-    assert "triangles" in first and ["raise Clip End" in sentence for sentence in others] == [True]
+    first, reach, colors = results["sentences"]
+    assert "triangles" in first and "raise Clip End" in reach and "Material Preview" in colors
 
 
 def test_preferences_are_those_of_the_extension(results):

@@ -15,7 +15,7 @@ from farfield.addon.core.packages.files import LEVELS_GLB, read_package, read_pa
 from farfield.addon.core.packages.manifest import MANIFEST, MESH, TEXTURES
 from farfield.addon.core.packages.textures.coding import decode_textures
 from farfield.addon.operators.file_browser import FOLDERS
-from farfield.addon.operators.packages.operators import propose_folder
+from farfield.addon.operators.packages.operators import default_folder
 from glb_reader import read_glb
 from lib import command_line, scene_files
 from textured_scenes import textured_ball
@@ -60,16 +60,17 @@ def test_a_folder_is_proposed_next_to_the_file_and_then_next_to_the_package_befo
     ball = textured_ball(4, "Bäll:1")
     ball.select_set(True)
     bpy.context.window_manager.pop(FOLDERS, None)
-    assert propose_folder(bpy.context).parent == Path.home()
+    assert default_folder(bpy.context).parent == Path.home()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "été.blend"))
-    assert propose_folder(bpy.context) == tmp_path / "Bäll_1 package"
+    assert default_folder(bpy.context) == tmp_path / "Bäll_1 package"
     (tmp_path / "other").mkdir()
     assert bpy.ops.farfield.packages_export(folder="//other/first", **SMALL) == {"FINISHED"}
     assert bpy.ops.farfield.packages_export(**SMALL) == {"FINISHED"}
     assert read_package(tmp_path / "other" / "Bäll_1 package").manifest.name == "Bäll:1"
+    assert default_folder(bpy.context) == tmp_path / "other" / "Bäll_1 package 2", "another file may have made the first one"
     textured_ball(4, "second")
     ball.select_set(True)
-    assert propose_folder(bpy.context) == tmp_path / "other" / "packages"
+    assert default_folder(bpy.context) == tmp_path / "other" / "packages"
 
 
 def test_a_package_of_an_object(package):

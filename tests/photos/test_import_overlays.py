@@ -1,4 +1,4 @@
-"""Overlays that are drawn when cameras are imported: only for selected meshes and for photographs that exist."""
+"""Imports of cameras: what the file browser names, and overlays, only for selected meshes and for photographs that exist."""
 
 import json
 
@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from farfield.addon.bridge.imaging.images import read_pixels
+from farfield.addon.core.photos.importers import READERS
+from farfield.addon.operators.photos.import_cameras import CAMERA_FILES
 from image_data import write_image
 from photo_scenes import grid
 
@@ -91,3 +93,8 @@ def test_one_undo_removes_cameras_and_overlays(project, wall):
     bpy.ops.ed.undo_push(message="Import Cameras")
     bpy.ops.ed.undo()
     assert overlay_names() == [] and not bpy.data.cameras
+
+
+def test_the_file_browser_names_every_camera_file():
+    named = " ".join(files for _, files in CAMERA_FILES)
+    assert all(extension in named for extension in READERS) and {"COLMAP", "Metashape"} <= {program for program, _ in CAMERA_FILES}

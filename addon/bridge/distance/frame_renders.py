@@ -56,8 +56,9 @@ def write_scene(folder: Path, scene: bpy.types.Scene, budget: tuple[float, float
     budget: seconds of a frame, and the error of its levels in pixels, at least which the process searches for; None to measure.
     """
     try:
+        images = [image for image in bpy.data.images if image.source in {"FILE", "GENERATED"} and image.library is None]
         metadata = {"scene": scene.name, "frame": scene.frame_current, "budget": budget}
-        metadata["images"] = write_unsaved_images(folder, bpy.data.images)
+        metadata["images"] = write_unsaved_images(folder, images)
         write_blend(folder / BLEND_FILE, scene)
         (folder / METADATA_FILE).write_text(json.dumps(metadata), encoding="utf-8")
     except (OSError, RuntimeError) as error:

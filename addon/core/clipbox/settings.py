@@ -40,12 +40,16 @@ class ClipboxSettings(Settings):
         used_if={"terrain": ("formula",)},
     )
     source: str = for_files("", "Height map or voxel model to read", path="file")
-    source_size: float = for_files(
+    source_size: float = in_terrain(
         1000.0,
-        "Length of the longest side of the source's content; for Forest, of the largest copy",
+        "Length of the longest side of the source's content",
         minimum=1e-3,
         maximum=1e7,
         unit=Unit.LENGTH,
+        used_if={"terrain": ("heights", "volume")},
+    )
+    plant_size: float = for_forest(
+        20.0, "Length of the longest side of the largest copy: the height of a tall tree", minimum=1e-3, maximum=1e7, unit=Unit.LENGTH
     )
     source_height: float = for_heights(
         100.0, "Height difference between black and white for image height maps", minimum=0.0, maximum=1e6, unit=Unit.LENGTH
@@ -94,6 +98,11 @@ class ClipboxSettings(Settings):
     smoothing: int = in_detail(
         0, "Smoothing iterations; each moves every vertex halfway to the mean of its neighbors", minimum=0, maximum=8
     )
+
+    @property
+    def content_size(self) -> float:
+        """Length of the longest side of what is in the source, before `scale`; for a forest, of its largest copy."""
+        return self.plant_size if self.terrain == "forest" else self.source_size
 
     def __post_init__(self) -> None:
         """Also check combinations of settings."""

@@ -1,6 +1,5 @@
 """Operators of the tool `bdam` that build a terrain: choose its files, then build it in the background."""
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,7 +21,7 @@ from ...core.jobs.progress import Progress, Steps
 from ...core.messages import format_count, join_sentences
 from .. import long_work, properties, start_job
 from ..error_reports import reports_errors
-from ..file_browser import open_file_browser, remember_folder
+from ..file_browser import open_file_browser, propose_folder, remember_folder
 from ..job_run import run_job
 from ..properties import BLEND_PREFIX, absolute_path
 from ..view_following import find_viewport, viewport_address
@@ -103,8 +102,7 @@ class FARFIELD_OT_bdam_add_files(bpy.types.Operator):
 def propose_store(path: str) -> str:
     """Return a folder next to the file of an elevation model that does not exist yet."""
     base = f"{path.rpartition('.')[0]} terrain"
-    names = (base if number == 1 else f"{base} {number}" for number in itertools.count(1))
-    return next(name for name in names if not Path(bpy.path.abspath(name)).exists())
+    return base + propose_folder(Path(bpy.path.abspath(base))).name.removeprefix(Path(base).name)
 
 
 class FARFIELD_OT_bdam_remove_file(bpy.types.Operator):

@@ -17,7 +17,7 @@ from ...core.packages.package import PackageReport, build_package
 from ...core.packages.settings import FIXED_LEVEL_SETTINGS, PackageSettings
 from ...core.texmesh.settings import TexmeshSettings
 from .. import properties, start_job
-from ..file_browser import find_start_folder, remember_folder
+from ..file_browser import find_start_folder, propose_folder, remember_folder
 from ..properties import absolute_path
 from ..texmesh.job import describe_skipped
 from ..texmesh.operators import disabled_reason
@@ -25,8 +25,8 @@ from ..texmesh.sources import check_sizes, describe_small, read_sources, source_
 
 FOLDER = {
     "name": "Folder",
-    "description": "Folder for the package; files of an earlier one in it are replaced. By default, it is called like the object, and is "
-    "next to the .blend file or to the package before",
+    "description": "Folder for the package; files of an earlier one in it are replaced. By default, a new one "
+    "called like the object, next to the .blend file or to the package before",
     "subtype": "DIR_PATH",
 }
 
@@ -102,18 +102,18 @@ class FARFIELD_OT_packages_export(start_job.StartJob, bpy.types.Operator):
         properties.fill_unset(PackageSettings, self, panel)
         package_settings = properties.read(PackageSettings, self)
         folder = self.folder or panel.folder
-        path = absolute_path(folder) if folder else propose_folder(context)
+        path = absolute_path(folder) if folder else default_folder(context)
         job = prepare_packages(context, source_objects(context), settings, package_settings, path)
         check_scene_outputs([Output("the folder of a package", path, check_package_folder, is_folder=True) for path in job.folders])
         remember_folder(self, context, path)
         return job
 
 
-def propose_folder(context: bpy.types.Context) -> Path:
-    """Return the folder that a package gets if none is chosen."""
+def default_folder(context: bpy.types.Context) -> Path:
+    """Return the folder that a package gets if none is chosen. It does not exist yet."""
     objects = source_objects(context)
     name = safe_filename(f"{objects[0].name} package") if len(objects) == 1 else "packages"
-    return find_start_folder(FARFIELD_OT_packages_export.__name__, context) / name
+    return propose_folder(find_start_folder(FARFIELD_OT_packages_export.__name__, context) / name)
 
 
 def prepare_packages(

@@ -30,17 +30,30 @@ ORIGIN_PROPERTY = "farfield_origin"  # custom property of the Empty: the positio
 IMAGES_FOLDER = "images"  # searched for next to the cameras and in the two folders above
 MODEL_FILES = {"cameras", "images", "points3D", "frames", "rigs"}  # files of COLMAP with these extensions, whose folder is read
 MODEL_EXTENSIONS = {".txt", ".bin"}
+CAMERA_FILES = (  # What to choose, in the file browser.
+    ("COLMAP", "its folder, or any file"),
+    ("NeRF", "transforms.json"),
+    ("Metashape", ".xml"),
+    ("Meshroom", ".sfm"),
+    ("Bundler", ".out"),
+    ("VisualSFM", ".nvm"),
+    ("OpenMVS", ".mvs"),
+    ("Pairs of points", ".pairs"),
+)
 FILTER = "*.txt;*.bin;*.json;*.sfm;*.out;*.nvm;*.mvs;*.xml;*.pairs"
 
 
 class FARFIELD_OT_photos_import_cameras(bpy.types.Operator):
-    """Import registered cameras of COLMAP, Metashape, NeRF programs and others, with their photographs as background images"""
+    """Import registered cameras with their photographs as background images: choose the folder of a COLMAP model, or any of its files, a
+    transforms.json, or the camera file of Metashape, Meshroom, Bundler, VisualSFM or OpenMVS"""
 
     bl_idname = "farfield.photos_import_cameras"
     bl_label = "Import Photo Cameras"
     bl_options = {"REGISTER", "UNDO"}
     __annotations__ = {
-        "filepath": bpy.props.StringProperty(name="File", description="File or folder with the cameras", subtype="FILE_PATH"),
+        "filepath": bpy.props.StringProperty(
+            name="File", description="The folder of a COLMAP model or any of its files, or another camera file", subtype="FILE_PATH"
+        ),
         "filter_glob": bpy.props.StringProperty(default=FILTER, options={"HIDDEN"}),
         "images": bpy.props.StringProperty(
             name="Images",
@@ -72,6 +85,16 @@ class FARFIELD_OT_photos_import_cameras(bpy.types.Operator):
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Open the file browser."""
         return open_file_browser(self, context)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Say in the file browser what to choose, and draw the properties."""
+        column = self.layout.column(align=True)
+        for index, (program, files) in enumerate(CAMERA_FILES):
+            column.label(text=f"{program}: {files}", icon="BLANK1" if index else "INFO")
+        settings = self.layout.column()
+        settings.use_property_split = True
+        for name in ("images", "mesh", "y_up", "set_render_size", "draw_overlays"):
+            settings.prop(self, name)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:

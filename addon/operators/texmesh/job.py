@@ -1,6 +1,7 @@
 """The jobs of the operators and the script: analyze textured meshes in scale space, and make their levels of detail."""
 
 import json
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -34,6 +35,7 @@ from ...core.texmesh.scale_space.analysis import analyze_scale_space
 from ...core.texmesh.scale_space.features import ScaleMap
 from ...core.texmesh.settings import AnalysisSettings, SceneSettings, TexmeshSettings
 from .cloud_levels import CloudSource, read_cloud_sources
+from .estimates import estimator
 from .sources import describe_small, read_sources
 
 MAX_LISTED = 3  # The levels of more objects are counted together in the result.
@@ -111,7 +113,7 @@ class LevelsJob:
 
     def core_steps(self) -> Steps[list[tuple[LevelChain, Cloud | None]]]:
         """Make the levels of every mesh, and its billboard cloud."""
-        counts = np.array([len(source.mesh.triangles) for source in self.sources])
+        started, counts = time.monotonic(), np.array([len(source.mesh.triangles) for source in self.sources])
         ends = estimate_costs(counts, self.settings).cumsum()
         starts = np.concatenate([[0.0], ends / ends[-1]]).tolist()
         chains = []
@@ -120,6 +122,8 @@ class LevelsJob:
             prefix = f"{source.name} ({index + 1} of {len(counts)}): " if len(counts) > 1 else ""
             chain = yield from subprogress(make_levels(source.mesh, source.textures, self.settings), start, stop, prefix)
             chains.append((chain, (yield from subprogress(self._build_cloud(index), stop, stop, prefix))))
+        if not any(self.clouds):
+            estimator.remember(counts.tolist(), self.settings, (time.monotonic() - started) / self.core_fraction)
         return chains
 
     def _build_cloud(self, index: int) -> Steps[Cloud | None]:

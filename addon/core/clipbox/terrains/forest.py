@@ -116,5 +116,5 @@ def build_forest(source: ClipboxSettings, readers: Readers) -> DensityFunction:
         SettingsError, FileError: there is no file, or it has no voxels.
     """
     model = read_voxel_model(source, readers)
-    spacing = source.forest_spacing * source.source_size * source.scale
+    spacing = source.forest_spacing * source.plant_size * source.scale
     return Forest(model, spacing, source.forest_hills * source.scale, source.seed).densities

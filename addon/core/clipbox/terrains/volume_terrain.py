@@ -128,7 +128,7 @@ def read_voxel_model(source: ClipboxSettings, readers: Readers) -> VoxelModel:
         raise FileError(f'"{source.source}" has the same value everywhere, {smallest:g}; it contains no surface.')
     if values.dtype.itemsize > 2 or values.dtype.kind == "f":
         values, outside, threshold = _subtract_threshold(values, smallest, threshold), outside - threshold, 0.0
-    voxel_sizes = spacing * (source.source_size * source.scale / (spacing * values.shape).max())
+    voxel_sizes = spacing * (source.content_size * source.scale / (spacing * values.shape).max())
     distance_per_value = AXIS_GRADIENT_FRACTION / _mean_axis_gradient(values, voxel_sizes, threshold, high - low)
     return VoxelModel(build_pyramid(values, outside), voxel_sizes, threshold, outside, distance_per_value)
 
