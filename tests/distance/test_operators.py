@@ -113,6 +113,50 @@ def test_a_billboard_cloud_of_a_scatter(camera):
     assert describe_file() == before
 
 
+def test_hair_particles_that_are_objects_show_levels(camera):
+    stone = add_ball()
+    stone.data.materials.clear()
+    stone.rotation_euler, stone.scale = (0.3, 0.2, 0.9), (0.5, 1.0, 0.7)
+    bpy.context.scene.collection.objects.unlink(stone)
+    ground = add_box("Ground", (0.0, 300.0, 0.0), size=20.0)
+    settings = ground.modifiers.new("Stones", "PARTICLE_SYSTEM").particle_system.settings
+    settings.type, settings.count, settings.render_type, settings.instance_object = "HAIR", 12, "OBJECT", stone
+    settings.use_rotation_instance = settings.use_scale_instance = True
+    bpy.context.view_layer.update()
+    before, particles = describe_file(), read_instances()
+    assert len(particles) == 12
+    settings.display_percentage = 25
+    build(**QUICK)
+    (chain,) = read_chains()
+    levels = read_instances()
+    assert len(levels) == 12 and chain.name == "Ball"
+    assert all(min(np.abs(matrix - other).max() for other in levels) < 1e-4 for matrix in particles)
+    assert {name for name, _ in rendered()} == {f"Ball Level {len(chain.collections) - 1}"}
+    build(**QUICK)
+    assert len(read_instances()) == 12 and settings.display_percentage == 25
+    bpy.ops.farfield.distance_remove()
+    settings.display_percentage = 100
+    assert describe_file() == before and len(read_instances()) == 12
+
+
+def test_hair_particles_stay_if_nothing_heavy_is_found(camera):
+    stone = add_box("Stone", linked=False)
+    ground = add_box("Ground", (0.0, 300.0, 0.0), size=20.0)
+    settings = ground.modifiers.new("Stones", "PARTICLE_SYSTEM").particle_system.settings
+    settings.type, settings.count, settings.render_type, settings.instance_object = "HAIR", 12, "OBJECT", stone
+    bpy.context.view_layer.update()
+    before = describe_file()
+    with pytest.raises(RuntimeError, match="Nothing to make ready"):
+        build(min_triangles=100, billboard_cloud=False)
+    assert describe_file() == before and len(read_instances()) == 12
+
+
+def read_instances() -> list[np.ndarray]:
+    """Return the matrices of all instances of objects in the viewport."""
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    return [np.array(instance.matrix_world) for instance in depsgraph.object_instances if instance.is_instance]
+
+
 def add_bush() -> bpy.types.Object:
     """Add 500 leaves of six triangles with a color attribute, distributed in a ball with a radius of 1, and a stem."""
     random = np.random.default_rng(0)

@@ -18,6 +18,7 @@ from ..lod_sets import KIND
 from ..objects import world_matrix
 from .chains import HOST
 from .level_switch import level_modifiers
+from .particles import SCATTER
 from .references import InstancedObjects, find_readers
 
 TYPES = {"MESH", "CURVE", "SURFACE", "FONT"}
@@ -91,7 +92,7 @@ class AssetSearch:
         for item in objects:
             if item.get(KIND) == HOST:
                 continue
-            if item.get(KIND) is not None:
+            if item.get(KIND) not in {None, SCATTER}:
                 self._skip(item.name, "made by Farfield")
             elif not item.is_editable:
                 self._skip(item.name, "linked from a library; make a library override or make it local")

@@ -13,6 +13,7 @@ from ..shading.node_builder import NodeBuilder, ensure_shared_group
 from .assets import Asset
 from .chains import HOST, Chain, remove_unused_chains
 from .level_switch import MAX_ERROR, NAME, TREE, VIEW_NAME, GeometryBuilder, Places, ensure_level_switch, level_modifiers
+from .particles import EMITTER, find_scatters, restore_particles
 
 MODIFIER = "Farfield Distance"
 QUADS = "farfield_quads"  # Property of the levels of billboard clouds.
@@ -156,8 +157,10 @@ def originals_shown(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> 
 
 
 def with_placements(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> list[bpy.types.Object]:
-    """Return `objects`, and for the empties among them, the object that shows their levels and all other empties for which it does so."""
+    """Return `objects`, and for the empties among them, the object that shows their levels and all other empties for which it does so; for
+    objects with particles, what stands for these."""
     found = dict.fromkeys(objects)
+    found |= {host: None for host in find_scatters(scene) if host[EMITTER] in found}
     for host in scene.objects:
         places = _places_of(host)
         if places is not None and (host in found or not found.keys().isdisjoint(places.objects)):
@@ -188,7 +191,9 @@ def detach(objects: Iterable[bpy.types.Object]) -> None:
 
 
 def clean_up(scene: bpy.types.Scene) -> None:
-    """Remove levels and node groups that nothing uses, and without any levels restore the limit of transparent bounces."""
+    """Show particles without levels again, remove levels and node groups that nothing uses, and without any levels restore the limit of
+    transparent bounces."""
+    restore_particles(scene)
     remove_unused_chains()
     for name in (NAME, VIEW_NAME, PLACES_NAME):  # The first uses the second.
         remove_unused_data([group for group in bpy.data.node_groups if group.name.startswith(name)])

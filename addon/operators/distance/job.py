@@ -11,6 +11,7 @@ from ...bridge.cameras import read_scene_camera
 from ...bridge.distance.assets import Asset, AssetSearch
 from ...bridge.distance.chains import Chain, read_chains
 from ...bridge.distance.fingerprints import fingerprint
+from ...bridge.distance.particles import replace_particles, restore_particles
 from ...bridge.distance.placing import (
     attach_chain,
     clean_up,
@@ -80,6 +81,13 @@ class DistanceJob:
         if scene is None or len(objects) < len(uids):
             raise GeometryError("The scene or an object was removed; start again.")
         view_layer = bpy.context.view_layer if bpy.context.scene == scene else scene.view_layers[0]
+        objects += [host for host in replace_particles(scene, view_layer, objects) if host not in objects]
+        try:
+            return (yield from self._build(scene, view_layer, objects))
+        finally:
+            restore_particles(scene)
+
+    def _build(self, scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, objects: Sequence[bpy.types.Object]) -> Steps[str]:
         views = read_views(scene)
         with originals_shown(scene, view_layer) as depsgraph:
             assets = self._find_assets(scene, objects, depsgraph)
