@@ -102,6 +102,7 @@ def test_an_opacity_map_is_read_and_left_out(is_mixed):
     assert opacity.sample(np.array([(0.2, 0.5), (0.8, 0.5), (1.2, 7.5)])).tolist() == [1.0, 0.0, 1.0]
     copy = create_opaque(material)
     assert read_surface(copy).is_opaque and not read_surface(material).is_opaque
+    assert copy.surface_render_method == "DITHERED"
     assert read_surface(copy).color.textures[0].image == read_surface(material).color.textures[0].image
     assert read_opacity_map(copy) is None
 

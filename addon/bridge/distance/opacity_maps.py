@@ -72,6 +72,7 @@ def create_opaque(material: bpy.types.Material) -> bpy.types.Material | None:
     """Return a copy of a material without its opacity, None if that is part of something else."""
     copy = material.copy()
     copy.name, copy[KIND] = f"{material.name} {SUFFIX}", CHAIN
+    copy.surface_render_method = "DITHERED"  # EEVEE draws faces of blended materials in the order of the mesh, and without raytracing.
     target = find_output(copy.node_tree).inputs["Surface"]
     for _ in range(MAX_SHADERS):
         shown = [] if not target.links or target.links[0].from_node.type != "MIX_SHADER" else _find_opaque(target.links[0].from_node)

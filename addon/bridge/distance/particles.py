@@ -156,7 +156,7 @@ def _fill(tree: bpy.types.NodeTree, sources: Sequence[bpy.types.Object]) -> None
     number = builder.call("GeometryNodeInputNamedAttribute", {"Name": SOURCE}, {"data_type": "INT"}).outputs["Attribute"]
     matrix = builder.call("GeometryNodeInputNamedAttribute", {"Name": TRANSFORM}, {"data_type": "FLOAT4X4"}).outputs["Attribute"]
     for index, source in enumerate(sources):
-        is_own = builder.call("FunctionNodeCompare", {2: number, 3: index}, {"data_type": "INT", "operation": "EQUAL"}).outputs[0]
+        is_own = builder.less(builder.math("ABSOLUTE", builder.math("SUBTRACT", number, float(index))), 0.5)
         shape = builder.call("GeometryNodeObjectInfo", {"Object": source, "As Instance": True}).outputs["Geometry"]
         placed = builder.call("GeometryNodeInstanceOnPoints", {0: points, 1: is_own, 2: shape}).outputs[0]
         placed = builder.call("GeometryNodeSetInstanceTransform", {0: placed, 2: matrix}).outputs[0]
