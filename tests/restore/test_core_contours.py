@@ -68,7 +68,7 @@ class TestPatches:
     def test_a_periodic_pattern_is_completed(self, wrap):
         image = np.tile(gaussian_filter(np.random.default_rng(1).random((12, 15, 3), np.float32), (1, 1, 0), mode="wrap"), (10, 8, 1))
         hole = np.roll(HOLE, (60, 60), (0, 1)) if wrap[0] else HOLE
-        completed = complete(make_page(image, hole, wrap).texture, make_page(image, hole, wrap), 0)
+        completed = run_to_end(complete(make_page(image, hole, wrap).texture, make_page(image, hole, wrap), 0))
         error = np.sqrt(np.square(completed - image)[hole].mean())
         assert error < 0.35 * image.std()
         assert np.array_equal(completed[np.hypot(Y - 60, X - 60) > 25], image[np.hypot(Y - 60, X - 60) > 25]) or wrap[0]
@@ -76,11 +76,11 @@ class TestPatches:
     def test_without_sources_the_estimate_stays(self):
         page = make_page(paint(OUTLINES["line"]))
         unusable = Page(page.texture, page.hole, page.known, np.zeros_like(HOLE))
-        assert np.array_equal(complete(page.texture, unusable, 0), page.texture)
+        assert np.array_equal(run_to_end(complete(page.texture, unusable, 0)), page.texture)
 
     def test_equal_seeds_give_equal_values(self):
         page = make_page(np.random.default_rng(4).random((SIZE, SIZE, 1), np.float32))
-        assert np.array_equal(complete(page.texture, page, 5), complete(page.texture, page, 5))
+        assert np.array_equal(run_to_end(complete(page.texture, page, 5)), run_to_end(complete(page.texture, page, 5)))
 
 
 class TestGuide:
@@ -109,3 +109,11 @@ class TestGuide:
         level, guide, pixels = self.build(image)
         same, other = (guide.costs(pixels, np.full(len(pixels), 20 * level.shape[1] + column), 1.0) for column in (20, 117))
         assert same.max() == pytest.approx(0.0, abs=1e-3) and other.min() > 0.1
+
+
+def test_progress_of_a_completion_grows():
+    steps = []
+    run_to_end(restore(paint(X - 60.0), HOLE, RestoreSettings(), source_mask=None), steps.append)
+    fractions = [step.fraction for step in steps]
+    assert fractions == sorted(fractions)
+    assert len({step.fraction for step in steps if step.label == "Completing objects"}) > 10

@@ -23,6 +23,7 @@ ROWS = 256  # rows of an image that are examined at once
 MAX_VALUE = 1e12  # Squares of larger values leave single precision soon.
 MIN_DEVIATION = 0.02  # The others are scaled to the deviation of the first map, or to this one if that is smaller.
 MIN_EVENNESS = 0.5  # around a hole in which only copies of texture fit
+FILLS_END = 0.25  # part of the time for the texture of holes that their completion by patches takes
 MIN_SOURCES = 64  # pixels with a neighborhood that may be copied
 
 
@@ -180,8 +181,11 @@ def _restore_texture(
     results = []
     groups, total, done = group_windows(windows), int(mask.sum()), 0
     for group in groups:
+        count = sum(int(window.hole.sum()) for window in group)
+        start, stop = done / total, (done + count) / total
+        middle = start + FILLS_END * (stop - start)
         structures, pages, fills, looks, numbers = [], [], [], [], []
-        for window in group:
+        for index, window in enumerate(group):
             with clock.stage("structure"):
                 low = low_band.evaluate(window.rows, window.columns)
                 structures.append(diffuse(low, window.hole, _part(options.barriers, window), window.wrap))
@@ -189,8 +193,10 @@ def _restore_texture(
             if options.settings.method == "regions":
                 looks.append(describe_page(pages[-1], options.curves[window.area]))
                 with clock.stage("patches"):
-                    found = _build_fills(pixels[window.area], structures[-1], pages[-1], looks[-1], options.settings.seed)
-                numbers.append([len(group) + len(fills) + index for index in range(len(found))])
+                    steps = _build_fills(pixels[window.area], structures[-1], pages[-1], looks[-1], options.settings.seed)
+                    parts = (start + (middle - start) * part / len(group) for part in (index, index + 1))
+                    found = yield from subprogress(steps, *parts)
+                numbers.append([len(group) + len(fills) + number for number in range(len(found))])
                 fills += found
         with clock.stage("pyramid"):
             pages += fills + _further_pages(pixels, mask, low_band, pages, options)
@@ -201,10 +207,9 @@ def _restore_texture(
                     f"Only {sources} pixels with unmasked neighborhoods of {MIN_SIDE} x {MIN_SIDE} pixels can be copied; at least "
                     f"{MIN_SOURCES} are necessary. Mask less, extend the source mask, or use Diffusion Only."
                 )
-        count = sum(int(window.hole.sum()) for window in group)
         with clock.stage("texture"):
             guide = build_guide(levels[0], pages, looks, numbers) if fills else None
-            yield from subprogress(fill_texture(pages, levels, guide, options.settings), done / total, (done + count) / total)
+            yield from subprogress(fill_texture(pages, levels, guide, options.settings), middle if fills else start, stop)
         done += count
         for index, (window, structure) in enumerate(zip(group, structures, strict=True)):
             texture = levels[0].page(index)
@@ -216,12 +221,12 @@ def _restore_texture(
         _write(pixels, window, values)
 
 
-def _build_fills(pixels: np.ndarray, structure: np.ndarray, page: Page, look: Look, seed: int) -> list[Page]:
+def _build_fills(pixels: np.ndarray, structure: np.ndarray, page: Page, look: Look, seed: int) -> Steps[list[Page]]:
     """Return pages with fills of the hole of `page`, without their `structure` (H, W, C): that of `pixels` (H, W, C), and one by patches,
     unless all surroundings are texture. A pixel of the hole may only be copied from the same pixel of a fill."""
     nothing = np.zeros_like(page.hole)
     is_texture = float(look.evenness[page.hole].min()) > MIN_EVENNESS
-    fills = [pixels] if is_texture else [pixels, complete(pixels, page, seed)]
+    fills = [pixels] if is_texture else [pixels, (yield from complete(pixels, page, seed))]
     return [Page(fill - structure, nothing, ~nothing, nothing, page.wrap) for fill in fills]
 
 

@@ -13,6 +13,7 @@ from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
 
 from ..imaging.pyramids import reduce_image, reduce_weighted
 from ..jobs.chunks import slices
+from ..jobs.progress import Progress, Steps, subprogress
 from .levels import RADIUS, Page, square_steps
 
 DIMENSIONS = 24  # numbers that describe a patch, by principal component analysis
@@ -38,7 +39,7 @@ class Layer(NamedTuple):
     usable: np.ndarray
 
 
-def complete(image: np.ndarray, page: Page, seed: int) -> np.ndarray:
+def complete(image: np.ndarray, page: Page, seed: int) -> Steps[np.ndarray]:
     """Return `image` (H, W, C) float32, in whose missing pixels is a first estimate, with the hole of `page` completed from usable pixels.
 
     Pixels next to the hole change, too: they are what patches make of them, so that differences between neighbors continue. Where no patch
@@ -54,13 +55,16 @@ def complete(image: np.ndarray, page: Page, seed: int) -> np.ndarray:
         layers.append(Layer(coarse, ~known, known & (reduce_image(layers[-1].usable.astype(np.float32)) >= MIN_KNOWN)))
     generator, matches = np.random.default_rng(seed), None
     for number, layer in enumerate(reversed(layers)):
-        rounds = max(ROUNDS, COARSEST_ROUNDS >> number)
-        completed, matches = _complete_layer(layer, matches, rounds, generator)
+        rounds, left = max(ROUNDS, COARSEST_ROUNDS >> number), 0.25 ** (len(layers) - 1 - number)  # Each layer has four times the pixels.
+        steps = _complete_layer(layer, matches, rounds, generator)
+        completed, matches = yield from subprogress(steps, 0.25 * left if number else 0.0, left)
     inner = tuple(slice(before, side - after) for (before, after), side in zip(padding, completed.shape, strict=False))
     return completed[inner]
 
 
-def _complete_layer(layer: Layer, coarse: np.ndarray | None, rounds: int, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def _complete_layer(
+    layer: Layer, coarse: np.ndarray | None, rounds: int, generator: np.random.Generator
+) -> Steps[tuple[np.ndarray, np.ndarray]]:
     """Return the completed image (H, W, C) and the matches (H, W) of its patches, from those of the next coarser level."""
     height, width = layer.hole.shape
     image, side = layer.image.copy(), 2 * RADIUS + 1
@@ -75,6 +79,7 @@ def _complete_layer(layer: Layer, coarse: np.ndarray | None, rounds: int, genera
         patches.start(coarse)
     depth = distance_transform_edt(layer.hole)[is_target]
     for number in range(rounds):
+        yield Progress(number / rounds, "Completing objects")
         patches.describe_targets()
         if number or coarse is None:  # Coarse matches vote first: the image has no details yet.
             for _ in range(SEARCHES):
