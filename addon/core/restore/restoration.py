@@ -183,7 +183,7 @@ def _restore_texture(
     for group in groups:
         count = sum(int(window.hole.sum()) for window in group)
         start, stop = done / total, (done + count) / total
-        filled = start + FILLS_END * (stop - start)
+        fills_stop = start + FILLS_END * (stop - start)
         structures, pages, fills, looks, numbers = [], [], [], [], []
         for index, window in enumerate(group):
             with clock.stage("structure"):
@@ -194,7 +194,7 @@ def _restore_texture(
                 looks.append(describe_page(pages[-1], options.curves[window.area]))
                 with clock.stage("patches"):
                     steps = _build_fills(pixels[window.area], structures[-1], pages[-1], looks[-1], options.settings.seed)
-                    parts = (start + (filled - start) * part / len(group) for part in (index, index + 1))
+                    parts = (start + (fills_stop - start) * part / len(group) for part in (index, index + 1))
                     found = yield from subprogress(steps, *parts)
                 numbers.append([len(group) + len(fills) + number for number in range(len(found))])
                 fills += found
@@ -209,7 +209,7 @@ def _restore_texture(
                 )
         with clock.stage("texture"):
             guide = build_guide(levels[0], pages, looks, numbers) if fills else None
-            yield from subprogress(fill_texture(pages, levels, guide, options.settings), filled if fills else start, stop)
+            yield from subprogress(fill_texture(pages, levels, guide, options.settings), fills_stop if fills else start, stop)
         done += count
         for index, (window, structure) in enumerate(zip(group, structures, strict=True)):
             texture = levels[0].page(index)
