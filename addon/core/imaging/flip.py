@@ -89,8 +89,11 @@ def filter_radius(pixels_per_degree: float) -> int:
 
 
 def _opponent_colors(linear: np.ndarray) -> np.ndarray:
-    """Return the opponent colors (3, H, W) Y, X - Y and Y - Z of linear colors (H, W, 3). Their factors sum to 1, 0 and 0. With green as the
-    origin, the chromatic parts of gray are exactly 0: the error grows with a small power of a difference."""
+    """Return the opponent colors (3, H, W) Y, X - Y and Y - Z of linear colors (H, W, 3).
+
+    Their factors sum to 1, 0 and 0, so with green as the origin the chromatic parts of gray are exactly 0. Rounding would count, since the
+    error grows with a small power of a difference.
+    """
     red, green, blue = np.moveaxis(linear, 2, 0)
     opponent = np.tensordot(OPPONENT_OF_RGB[:, ::2].astype(np.float32), np.stack([red - green, blue - green]), 1)
     opponent[0] += green
