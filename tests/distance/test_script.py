@@ -11,7 +11,7 @@ from farfield.addon.core.errors import GeometryError, SettingsError
 from lib import command_line
 from textured_scenes import textured_ball
 
-pytestmark = pytest.mark.usefixtures("empty_scene", "few_samples")
+pytestmark = pytest.mark.usefixtures("empty_scene", "few_samples", "quick_levels")
 
 
 def run(*arguments: object) -> str:

@@ -210,7 +210,8 @@ def flat_image(*values: int) -> np.ndarray:
     ],
 )
 def test_maps_are_drawn(page, tmp_path, maps, shading, opacity, expected):
-    write_textured_package(tmp_path, plane(8, 8), [flat_image(200, 100, 50)], maps=maps, shading=shading, opacity=opacity)
+    image = flat_image(200, 100, 50)
+    write_textured_package(tmp_path, plane(8, 8), [image], tile_size=64, maps=maps, shading=shading, opacity=opacity)
     with run_server(tmp_path) as url:
         page.open(url)
         page.wait_for(FINISHED)
@@ -228,7 +229,7 @@ def test_light_of_rough_and_metallic_surfaces(page, tmp_path):
     square = replace(square, uvs=square.uvs * 12.5)
     for name, map_ in (("roughness", 255 - half // 255 * 250), ("metallic", half)):
         shading = Shading(roughness=1.0 if name == "roughness" else 0.3, metallic=1.0)
-        write_textured_package(tmp_path / name, square, [flat_image(220, 40, 40)], maps={name: map_}, shading=shading)
+        write_textured_package(tmp_path / name, square, [flat_image(220, 40, 40)], tile_size=64, maps={name: map_}, shading=shading)
         with run_server(tmp_path / name) as url:
             page.open(url)
             page.wait_for(FINISHED)
