@@ -117,7 +117,7 @@ def test_other_clouds_have_quads_only(settings):
     ],
 )
 def test_budgets_count_charts(name, budget):
-    cloud = build(sphere(6), **{name: budget})
+    cloud = build(sphere(8), **{name: budget})
     level = cloud.levels[0]
     assert level.chart_triangle_count > 0 and cloud.max_plane_distance <= 1.0
     usage = {"triangles": level.triangle_count, "quads": level.quad_count}

@@ -68,7 +68,7 @@ def test_a_small_source_is_estimated_exactly(source, settings):
 @pytest.mark.parametrize(
     ("source", "solid_parts"),
     [
-        (wavy_sphere(14), "mesh"),
+        (wavy_sphere(20), "mesh"),
         pytest.param(scattered_boxes(10, 4), "mesh", marks=pytest.mark.exhaustive),
         (scattered_boxes(6, 4), "quads"),
         pytest.param(wavy_sphere(20), "quads", marks=pytest.mark.exhaustive),
