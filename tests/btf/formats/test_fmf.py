@@ -15,6 +15,7 @@ from farfield.addon.core.jobs.progress import run_to_end
 from fmf_reader import read_fmf
 from random_textures import random_texture
 
+pytestmark = pytest.mark.core
 EXTERNAL_READER = """
 import json, sys
 import numpy as np
