@@ -39,11 +39,20 @@ EXAMPLES_FRACTION, MIN_EXAMPLES = 0.25, 5
 
 @pytest.fixture(scope="session")
 def extension() -> Iterator:
-    """The package `farfield`, registered in Blender once for the whole session. At the end it is unregistered, or Blender 4.5 hangs."""
+    """The package `farfield`, registered in Blender once for the whole session. At the end it is unregistered, or Blender 4.5 hangs.
+
+    Colors of clouds are fitted to fewer and smaller renders than usual, except in `test_luminance_fit`: 45 renders of a box would take
+    three quarters of the time of its build.
+    """
     package = environment.import_farfield()
     pytest.importorskip("bpy")
     package.register()
-    yield package
+    from farfield.addon.bridge.billboards import luminance_fit
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(luminance_fit, "VIEW_COUNT", 8)
+        patch.setattr(luminance_fit, "RESOLUTION", 32)
+        yield package
     package.unregister()
 
 
@@ -59,11 +68,24 @@ def empty_scene(extension):
 
 @pytest.fixture(scope="module")
 def few_samples() -> Iterator[None]:
-    """Fit levels to few points, for promises that do not depend on how near they are to their source."""
-    from farfield.addon.core.texmesh.refitting import refit
+    """Fit levels to few points, and compare few, for promises that do not depend on how near they are to their source."""
+    from farfield.addon.core.texmesh import corner_attributes
+    from farfield.addon.core.texmesh.refitting import comparison, refit
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(refit, "TUNING", replace(refit.TUNING, min_samples=2000))
+        patch.setattr(comparison, "SAMPLES", 4000)
+        patch.setattr(corner_attributes, "MIN_SAMPLES", 2000)
+        yield
+
+
+@pytest.fixture(scope="module")
+def coarse_packing() -> Iterator[None]:
+    """Pack UV islands in few cells, which takes a tenth of the time: how densely they are packed is a promise of `test_packing`."""
+    from farfield.addon.core.unwrap import raster_packing
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(raster_packing, "GRID_SIDE", 96)
         yield
 
 

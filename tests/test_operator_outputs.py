@@ -20,7 +20,7 @@ from textured_scenes import textured_ball
 SMALL = {"levels": "ratios", "ratios": "0.5", "views": 2, "max_image": 32, "vertices": "original"}
 
 
-pytestmark = pytest.mark.usefixtures("few_samples")
+pytestmark = pytest.mark.usefixtures("few_samples", "coarse_packing")
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from lib import environment
-from source_files import parse_file
+from source_files import parse_file, walk
 
 pytestmark = pytest.mark.once
 ROOT = environment.ROOT
@@ -36,7 +36,7 @@ def module_file(parts: tuple[str, ...]) -> Path | None:
 def named_files(path: Path) -> set[Path]:
     """The files of the checkout that `path` imports or names."""
     package, found = path.relative_to(ROOT).parts[:-1], set()
-    for node in ast.walk(parse_file(path)):
+    for node in walk(parse_file(path)):
         names = []
         if isinstance(node, ast.ImportFrom):
             base = package[: len(package) - node.level + 1] if node.level else ()
@@ -69,7 +69,7 @@ def reached_files() -> set[Path]:
 def names_in(node: ast.AST) -> set[str]:
     """The names that code uses, those in quoted annotations and behind `as` included; an import alone uses nothing."""
     names = set()
-    for inner in ast.walk(node):
+    for inner in walk(node):
         if isinstance(inner, ast.Name):
             names.add(inner.id)
         elif isinstance(inner, ast.Attribute):

@@ -6,7 +6,7 @@ import pytest
 from farfield.addon.core.messages import format_number, split_sentences
 from farfield.addon.operators.results import STATUS_CHARS, read_result, report_result, store_result, tool_of
 
-pytestmark = pytest.mark.usefixtures("empty_scene")
+pytestmark = pytest.mark.usefixtures("empty_scene", "coarse_packing")
 
 
 class Operator:

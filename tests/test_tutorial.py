@@ -28,7 +28,7 @@ def run(step: str, sizes: dict[str, str]) -> None:
 
 
 @pytest.fixture(scope="module")
-def renders(extension, few_samples):
+def renders(extension, few_samples, coarse_packing):
     """The scene after all steps. Returns the scenes that were rendered."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     finished = []

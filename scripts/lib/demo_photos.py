@@ -132,9 +132,10 @@ def create_model(subdivisions: int) -> bpy.types.Object:
     bpy.ops.mesh.primitive_monkey_add()
     model = bpy.context.object
     model.name = NAME
-    subdivision = model.modifiers.new("Subdivision", "SUBSURF")
-    subdivision.levels = subdivision.render_levels = subdivisions
-    bpy.ops.object.modifier_apply(modifier=subdivision.name)
+    if subdivisions > 0:
+        subdivision = model.modifiers.new("Subdivision", "SUBSURF")
+        subdivision.levels = subdivision.render_levels = subdivisions
+        bpy.ops.object.modifier_apply(modifier=subdivision.name)
     while model.data.uv_layers:
         model.data.uv_layers.remove(model.data.uv_layers[0])
     material, nodes, links, surface = create_material("Painted")

@@ -90,8 +90,11 @@ def assert_independent(objects) -> None:
 @pytest.mark.parametrize(
     ("shading", "joined"),
     [
-        *(("texture", False), ("texture", True), ("slope", True), ("height", False)),
-        *(pytest.param(*values, marks=pytest.mark.exhaustive) for values in (("slope", False), ("height", True), ("level", False))),
+        *(("texture", False), ("slope", True)),
+        *(
+            pytest.param(*values, marks=pytest.mark.exhaustive)
+            for values in (("texture", True), ("slope", False), ("height", True), ("height", False), ("level", False))
+        ),
     ],
 )
 def test_frozen_objects_have_the_triangles_and_materials_of_the_terrain(folder, camera, joined, shading):

@@ -121,7 +121,7 @@ class TestTransforms:
         assert level()["farfield_quads"] == 6
         assert level()["farfield_error"] == pytest.approx(0.05 * 2.0 * unit, rel=1e-4)
 
-    @pytest.mark.parametrize("unit", [1e-6, 1e6])
+    @pytest.mark.parametrize("unit", [1e-6, pytest.param(1e6, marks=pytest.mark.exhaustive)])
     def test_textures_at_extreme_units(self, unit):
         add_cube(scale=(unit, unit, unit))
         build(textures=True, samples=1)
@@ -129,7 +129,14 @@ class TestTransforms:
         pixels = np.array(image.pixels[:]).reshape(-1, 4)
         assert pixels[:, 3].max() == pytest.approx(1.0, abs=0.02)
 
-    @pytest.mark.parametrize("scale", [(-1.0, 1.0, 1.0), (-1.0, -1.0, -1.0), (1.0, 3.0, 0.2), (-2.0, 1.0, 0.5)])
+    @pytest.mark.parametrize(
+        "scale",
+        [
+            *(pytest.param(scale, marks=pytest.mark.exhaustive) for scale in ((-1.0, 1.0, 1.0), (1.0, 3.0, 0.2))),
+            (-1.0, -1.0, -1.0),
+            (-2.0, 1.0, 0.5),
+        ],
+    )
     def test_quads_face_outwards_under_mirrored_and_nonuniform_scale(self, scale):
         add_cube(scale=scale)
         build(error=1.0)

@@ -42,7 +42,7 @@ def tree(leaves=40, sides=16, cuts=6):
 
 def bush():
     """Return a small tree, for promises that do not depend on the number of triangles."""
-    return tree(leaves=14, sides=10, cuts=3)
+    return tree(leaves=12, sides=8, cuts=2)
 
 
 def count_quads(mesh, level):
@@ -80,13 +80,15 @@ def test_any_number_of_quads_from_six_on_is_reached(mesh, budget):
     assert cloud.max_plane_distance <= 1.0 and cloud.uncovered_faces == 0
 
 
-@pytest.mark.parametrize("budget", [12, pytest.param(70, marks=EXHAUSTIVE)])
+@EXHAUSTIVE  # `test_parts` has a budget of triangles.
+@pytest.mark.parametrize("budget", [12, 70])
 def test_triangles_are_a_budget(budget):
     cloud = build_test_cloud(bush(), triangles=budget, levels=1)
     assert 0.9 * budget <= cloud.levels[0].triangle_count <= budget
     assert cloud.max_plane_distance <= 1.0 and cloud.uncovered_faces == 0
 
 
+@EXHAUSTIVE  # as the texture of several levels
 def test_kilobytes_are_reached():
     cloud = build_test_cloud(bush(), texture_mb=0.02, levels=1)
     assert megabytes(cloud) <= 0.02
@@ -100,7 +102,7 @@ def test_default_is_no_budget():
 
 
 def test_larger_budgets_give_more_quads_and_smaller_errors():
-    clouds = [(budget, build_test_cloud(shapes.bumpy_sphere(5), quads=budget, levels=1)) for budget in (8, 20)]
+    clouds = [(budget, build_test_cloud(shapes.bumpy_sphere(4), quads=budget, levels=1)) for budget in (8, 16)]
     for budget, cloud in clouds:
         assert 0.75 * budget <= len(cloud.levels[0].quads) <= budget
         assert cloud.max_plane_distance <= 1.0 and cloud.uncovered_faces == 0
@@ -116,7 +118,7 @@ def test_every_method_keeps_the_budget(method, mesh, budget):
     assert cloud.max_plane_distance <= 1.0
 
 
-@pytest.mark.parametrize(("mesh", "budget"), [(shapes.sphere(6), 1.0), pytest.param(bush(), 0.1, marks=EXHAUSTIVE)], ids=["sphere", "tree"])
+@pytest.mark.parametrize(("mesh", "budget"), [(shapes.sphere(4), 0.3), pytest.param(bush(), 0.1, marks=EXHAUSTIVE)], ids=["sphere", "tree"])
 def test_texture_of_all_levels_meets_the_budget(mesh, budget):
     cloud = build_test_cloud(mesh, texture_mb=budget, levels=2)
     assert 0.8 * budget <= megabytes(cloud) <= budget
@@ -196,6 +198,7 @@ def test_budget_above_the_number_of_faces_is_allowed():
     assert len(build_test_cloud(mesh, quads=10_000, levels=1).levels[0].quads) <= len(mesh.triangles)
 
 
+@EXHAUSTIVE  # `test_build` compares the clouds of equal seeds, too.
 def test_equal_input_gives_equal_clouds():
     first, second = (build_test_cloud(bush(), quads=10, levels=1, solid_parts="mesh") for _ in range(2))
     for level, repeated in zip(first.levels, second.levels, strict=True):
@@ -210,7 +213,7 @@ def test_equal_input_gives_equal_clouds():
         (bush(), {"levels": 2, "error": 0.03}),
         pytest.param(bush(), {"levels": 2, "method": "hough", "error": 0.04}, marks=EXHAUSTIVE),
         pytest.param(shapes.box(cuts=2), {"levels": 2, "method": "decimate", "error": 0.1}, marks=EXHAUSTIVE),
-        (bush(), {"levels": 2, "quads": 12}),
+        pytest.param(bush(), {"levels": 2, "quads": 12}, marks=EXHAUSTIVE),
         pytest.param(bush(), {"levels": 2, "quads": 12, "loose_fraction": 0.1}, marks=EXHAUSTIVE),
     ],
     ids=["clusters", "hough", "decimate", "quads", "one error"],
@@ -240,7 +243,7 @@ def test_proximity_graph_is_built_once_per_group(monkeypatch):
 @pytest.mark.parametrize(
     ("method", "mesh", "error"),
     [
-        ("clusters", shapes.bumpy_sphere(4), 0.04),
+        ("clusters", shapes.bumpy_sphere(4), 0.08),
         ("hough", shapes.bumpy_sphere(6), 0.02),
         pytest.param("decimate", shapes.box(cuts=2), 0.05, marks=EXHAUSTIVE),
     ],

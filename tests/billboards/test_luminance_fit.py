@@ -8,6 +8,7 @@ import pytest
 
 import shapes
 from bridge import blender_scenes
+from farfield.addon.bridge.billboards import luminance_fit
 from farfield.addon.bridge.billboards.capture import capture_textures
 from farfield.addon.bridge.billboards.clouds import create_level_object
 from farfield.addon.bridge.billboards.luminance_fit import fit_luminance
@@ -19,13 +20,23 @@ from farfield.addon.core.jobs.progress import run_to_end
 from lib.studio import open_studio
 
 SETTINGS = BillboardSettings(levels=1, error=0.05, samples=4)
+USUAL = {name: getattr(luminance_fit, name) for name in ("VIEW_COUNT", "RESOLUTION")}  # before the fixture `extension` changes them
 
 
-def build(item):
+@pytest.fixture(scope="module", autouse=True)
+def usual_renders():
+    """Fits look at as many and as large renders as outside of tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in USUAL.items():
+            patch.setattr(luminance_fit, name, value)
+        yield
+
+
+def build(item, settings=SETTINGS):
     """Return the source of an object, its cloud and the captured textures."""
     source = blender_scenes.read_objects(item)
-    cloud = run_to_end(build_cloud(source.geometry, SETTINGS, source.name))
-    return source, cloud, run_to_end(capture_textures(source, cloud, SETTINGS))
+    cloud = run_to_end(build_cloud(source.geometry, settings, source.name))
+    return source, cloud, run_to_end(capture_textures(source, cloud, settings))
 
 
 @pytest.fixture(scope="module")
@@ -33,12 +44,12 @@ def crown():
     """A dense crown of opaque leaves, as `build` returns it, and its object."""
     blender_scenes.reset_scene()
     mesh = bpy.data.meshes.new("Crown")
-    leaves = shapes.leaf_cards(1200, 0.08, 0.2)
+    leaves = shapes.leaf_cards(800, 0.098, 0.2)
     write_triangles(mesh, leaves.vertices, leaves.triangles)
     mesh.materials.append(blender_scenes.create_material("Leaf", (0.3, 0.5, 0.1), 1.0))
     item = bpy.data.objects.new("Crown", mesh)
     bpy.context.scene.collection.objects.link(item)
-    return (*build(item), item)
+    return (*build(item, replace(SETTINGS, error=0.07)), item)
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +111,7 @@ def test_objects_that_moved_change_nothing(crown):
 
 
 def test_solids_keep_their_color_and_opacity():
-    item = blender_scenes.ball(material=blender_scenes.create_material("Red", (0.8, 0.2, 0.1), 0.6))
+    item = blender_scenes.ball(material=blender_scenes.create_material("Red", (0.8, 0.2, 0.1), 0.6), segments=12)
     source, cloud, textures = build(item)
     (fitted,) = run_to_end(fit_luminance(source, [item], cloud, textures))
     covered = textures[0].front.color[..., 3] > 0.5

@@ -249,6 +249,7 @@ def test_glb_output_for_an_orthographic_camera(tmp_path):
     assert "farfield_error" in level and "farfield_switch_distance" not in level
 
 
+@pytest.mark.exhaustive  # `test_build` compares the clouds of equal seeds.
 def test_equal_seeds_give_equal_reports(cube):
     reports = []
     for index in range(2):

@@ -56,7 +56,9 @@ def scattered_boxes(count: int, cuts: int) -> TriangleMesh:
 
 
 @pytest.mark.parametrize(
-    ("source", "settings"), [(bumpy_sphere(4), {"error": 0.04}), (box(cuts=1), {"quads": 8})], ids=["bumpy sphere", "budget for a box"]
+    ("source", "settings"),
+    [(bumpy_sphere(4), {"error": 0.04}), pytest.param(box(cuts=1), {"quads": 8}, marks=pytest.mark.exhaustive)],
+    ids=["bumpy sphere", "budget for a box"],
 )
 def test_a_small_source_is_estimated_exactly(source, settings):
     settings = {"levels": 2} | settings

@@ -82,7 +82,7 @@ def render_source_and_cloud(cloud, sun, direction) -> tuple[np.ndarray, np.ndarr
     sources, level = cloud.sources, cloud.levels[0]
     center, radius = bounding_sphere(sources)
     pixel_size = cloud.errors[0]
-    with open_studio([*sources, level], 32) as studio:
+    with open_studio([*sources, level], 8) as studio:
         work = studio.work
         work.scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.0
         for item in list(work.scene.collection.objects):

@@ -20,7 +20,7 @@ def shown_images(cloud) -> list[bpy.types.Image | None]:
     ("model", "crossfade"),
     [
         ("surface", True),
-        ("emission", False),
+        pytest.param("emission", False, marks=pytest.mark.exhaustive),
         pytest.param("surface", False, marks=pytest.mark.exhaustive),
         pytest.param("emission", True, marks=pytest.mark.exhaustive),
     ],

@@ -225,6 +225,7 @@ def test_a_user_without_home_gets_a_sentence(cloud, monkeypatch):
         bake()
 
 
+@pytest.mark.exhaustive  # as in `test_dispatch`, but with real views
 def test_damaged_finished_views_are_captured_again(tmp_path):
     """Also those with the right checksum, which anyone can compute."""
     copy_finished_views(tmp_path)

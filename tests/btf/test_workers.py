@@ -121,6 +121,7 @@ def start_and_kill(command: list[str], folder: Path, min_view_count: int, pause:
 
 @only_on_linux
 @pytest.mark.once
+@pytest.mark.exhaustive  # `test_dispatch` has crashing workers, and the next test kills a whole bake.
 def test_killing_a_worker_at_a_random_moment_loses_no_finished_view(cloud, reference_digests, tmp_path):
     moments, folder = random_moments(), tmp_path / "work"
     min_view_count, pause = moments.randrange(8), moments.uniform(0.0, 0.4)

@@ -18,6 +18,7 @@ from farfield.addon.core.files.height_maps import MAX_BYTES
 from lib import environment
 from terrain_files import nifti, patch_bytes, write_voxels
 
+pytestmark = pytest.mark.core
 SCRIPTS = environment.ROOT / "scripts"
 SIDE = 256  # voxels
 OVERHEAD_BYTES = 32 * 2**20  # temporary arrays of fixed size

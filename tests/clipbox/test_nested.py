@@ -61,7 +61,7 @@ def check_closed(engine, meshes):
 @pytest.mark.parametrize("variant", VARIANTS, ids=str)
 def test_a_flight_has_no_cracks_and_equals_builds_from_scratch(variant):
     engine, shown = TerrainEngine(small(**variant)), {}
-    for position in flight(7, 6):
+    for position in flight(7, 4):
         update = run_to_end(engine.move(position))
         shown = {key: mesh for key, mesh in shown.items() if key not in update.removed and not update.is_complete} | update.meshes
         _, fresh = build(variant, position)

@@ -21,7 +21,7 @@ def level_at(distance: float) -> int:
     return max(number for number, start in enumerate(DISTANCES) if start <= distance)
 
 
-@pytest.mark.parametrize("scale", [1.0, 3.0])
+@pytest.mark.parametrize("scale", [pytest.param(1.0, marks=pytest.mark.exhaustive), 3.0])
 def test_an_object_is_the_level_of_its_distance(camera, scale):
     box = add_box("Box")
     box.scale = (scale,) * 3

@@ -1,7 +1,5 @@
 """Builds of small scenes: levels are shown, found again, cancelled and removed."""
 
-from functools import partial
-
 import bpy
 import numpy as np
 import pytest
@@ -14,12 +12,10 @@ from farfield.addon.bridge.distance.level_switch import MAX_ERROR, level_modifie
 from farfield.addon.bridge.distance.placing import QUADS
 from farfield.addon.bridge.geometry.mesh_arrays import read_attribute, write_attribute
 from farfield.addon.compat import compositor_trees, enable_nodes, read_node_input
-from farfield.addon.core.billboards.settings import BillboardSettings
 from farfield.addon.core.distance import levels as core_levels
 from farfield.addon.core.distance.settings import DistanceSettings
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.json_values import parse_json
-from farfield.addon.core.texmesh.settings import TexmeshSettings
 from farfield.addon.operators.distance import build as distance_build
 from farfield.addon.operators.distance.analysis import Plan, describe_weight
 from farfield.addon.operators.distance.job import prepare
@@ -27,19 +23,9 @@ from farfield.addon.operators.distance.measuring import prepare as prepare_measu
 from farfield.addon.operators.job_run import run_job
 from textured_scenes import textured_ball
 
-pytestmark = pytest.mark.usefixtures("empty_scene", "few_samples")
+pytestmark = pytest.mark.usefixtures("empty_scene", "few_samples", "quick_levels")
 QUICK = {"min_triangles": 10, "billboard_cloud": False}
 ONLY_CLOUD = {"min_triangles": 10, "perceptual_levels": False}
-
-
-@pytest.fixture(autouse=True)
-def quick_levels(monkeypatch):
-    """Make levels and clouds in a fraction of a second; which ones is not tested here."""
-    level_settings = {"levels": "ratios", "ratios": "0.5,0.2", "views": 1, "max_image": 32, "vertices": "original"}
-    monkeypatch.setattr(distance_build, "TexmeshSettings", partial(TexmeshSettings, **level_settings))
-    monkeypatch.setattr(distance_build, "BillboardSettings", partial(BillboardSettings, samples=1, error=0.05))
-    for name in ("FEW_TRIANGLES", "MANY_TRIANGLES"):
-        monkeypatch.setattr(core_levels, name, 0)
 
 
 @pytest.fixture

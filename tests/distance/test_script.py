@@ -7,12 +7,11 @@ import pytest
 
 import distance
 from distance_scenes import add_box, add_camera, shown
-from farfield.addon.core.distance import levels
 from farfield.addon.core.errors import GeometryError, SettingsError
 from lib import command_line
 from textured_scenes import textured_ball
 
-pytestmark = pytest.mark.usefixtures("empty_scene", "few_samples")
+pytestmark = pytest.mark.usefixtures("empty_scene", "few_samples", "quick_levels")
 
 
 def run(*arguments: object) -> str:
@@ -29,8 +28,7 @@ def scene_file(tmp_path):
     return path
 
 
-def test_the_scene_and_the_report(scene_file, monkeypatch):
-    monkeypatch.setattr(levels, "FEW_TRIANGLES", 0)
+def test_the_scene_and_the_report(scene_file):
     out, report = scene_file.with_name("ready.blend"), scene_file.with_name("report.json")
     message = run(scene_file, "--out", out, "--report", report, "--min-triangles", "10", "--no-billboard-cloud")
     assert message.startswith("Distance-ready: 1 object at 1 place; this frame has ")

@@ -108,6 +108,13 @@ def test_hausdorff_distance_is_found_inside_a_face():
     assert 1.0 <= distance <= 1.0 + 2e-3
 
 
+def test_bounds_of_the_hausdorff_distance_differ_by_a_fraction_of_it():
+    corners, target = np.random.default_rng(3).normal(size=(2, 30, 3, 3))
+    exact = bound_hausdorff(corners, TriangleTree(target), 1e-6)[1]
+    lower, upper = bound_hausdorff(corners, TriangleTree(target), 1e-6, precision=0.1)
+    assert lower <= exact <= upper == pytest.approx(1.1 * lower)
+
+
 def test_hausdorff_distance_of_parallel_sheets_is_their_gap_and_zero_to_itself():
     random = np.random.default_rng(2)
     sheet = random.normal(size=(40, 3, 3)) * [1.0, 1.0, 0.0]

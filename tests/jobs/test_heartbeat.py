@@ -15,6 +15,7 @@ from farfield.addon.core.errors import FileError
 from farfield.addon.core.jobs import heartbeat
 from lib import environment
 
+pytestmark = pytest.mark.core
 CHILD = f"""
 import os, sys, time
 sys.path.insert(0, {str(environment.ROOT / "scripts")!r})

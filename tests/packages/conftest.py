@@ -2,7 +2,15 @@
 
 import pytest
 
-from farfield.addon.core.packages.textures import visibility
+from farfield.addon.core.packages.textures import avif_files, visibility
+
+
+@pytest.fixture(scope="module")
+def fast_coding():
+    """Images are coded in a fraction of the usual time, to slightly larger files."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(avif_files, "SPEED", 10)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -37,6 +37,7 @@ from textured_models import plane, torus
 pytestmark = [
     pytest.mark.once,
     pytest.mark.slow,
+    pytest.mark.usefixtures("fast_coding", "small_images"),
     pytest.mark.skipif(find_chromium() is None, reason=f"THE PAGE WAS NOT TESTED IN A BROWSER: it {SKIP_REASON}"),
 ]
 LINE = ConnectionRate(((1.0, 50_000.0),), latency=0.02)  # Slow: on a busy machine, the first drawing alone may take 2 seconds.
@@ -59,10 +60,10 @@ def page(tmp_path_factory) -> Iterator[Page]:
 
 
 @pytest.fixture(scope="module")
-def package(tmp_path_factory) -> tuple[Path, Manifest]:
+def package(fast_coding, small_images, tmp_path_factory) -> tuple[Path, Manifest]:
     """A torus of two materials."""
     folder = tmp_path_factory.mktemp("package")
-    images = [painted_image(400, 300, 1), painted_image(600, 500, 2)]
+    images = [painted_image(300, 220, 1), painted_image(440, 380, 2)]
     return folder, write_textured_package(folder, torus(96, 48, has_materials=True), images)
 
 
@@ -117,7 +118,7 @@ def to_srgb(values: np.ndarray) -> np.ndarray:
 
 def test_something_is_shown_soon_and_all_within_limit(page, tmp_path):
     random = np.random.default_rng(3)
-    image = painted_image(640, 520, 2) + random.normal(0.0, 25.0, (520, 640, 3))
+    image = painted_image(448, 384, 2) + random.normal(0.0, 25.0, (384, 448, 3))
     manifest = write_textured_package(tmp_path, torus(96, 48), [image.clip(0, 255).astype(np.uint8)], time_limit=TIME_LIMIT)
     assert manifest.files[TEXTURES][0] > 1.2 * manifest.time_limit * LINE.rate_at(0.0)
     fractions, deviations = [], []
@@ -209,7 +210,8 @@ def flat_image(*values: int) -> np.ndarray:
     ],
 )
 def test_maps_are_drawn(page, tmp_path, maps, shading, opacity, expected):
-    write_textured_package(tmp_path, plane(8, 8), [flat_image(200, 100, 50)], maps=maps, shading=shading, opacity=opacity)
+    image = flat_image(200, 100, 50)
+    write_textured_package(tmp_path, plane(8, 8), [image], tile_size=64, maps=maps, shading=shading, opacity=opacity)
     with run_server(tmp_path) as url:
         page.open(url)
         page.wait_for(FINISHED)
@@ -227,7 +229,7 @@ def test_light_of_rough_and_metallic_surfaces(page, tmp_path):
     square = replace(square, uvs=square.uvs * 12.5)
     for name, map_ in (("roughness", 255 - half // 255 * 250), ("metallic", half)):
         shading = Shading(roughness=1.0 if name == "roughness" else 0.3, metallic=1.0)
-        write_textured_package(tmp_path / name, square, [flat_image(220, 40, 40)], maps={name: map_}, shading=shading)
+        write_textured_package(tmp_path / name, square, [flat_image(220, 40, 40)], tile_size=64, maps={name: map_}, shading=shading)
         with run_server(tmp_path / name) as url:
             page.open(url)
             page.wait_for(FINISHED)

@@ -54,7 +54,7 @@ def test_photographs_that_agree_are_trusted(count, noise, seed):
     assert min(trust.min() for trust in rate(count=count, noise=noise, seed=seed)) > 0.7
 
 
-@pytest.mark.parametrize("count", [3, 5, pytest.param(8, marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("count", [3, *(pytest.param(count, marks=pytest.mark.exhaustive) for count in (5, 8))])
 def test_what_one_photograph_shows_loses_its_weight(count):
     trust = rate(paint_disk, count)
     assert (trust[2][cells(lambda x, y: disk(x, y, 38.0))] < 0.1).all()

@@ -10,7 +10,7 @@ from farfield.addon.bridge.unwrap.stretch_display import overlay as stretch_over
 from image_data import write_image
 from photo_scenes import camera_at, grid
 
-pytestmark = pytest.mark.usefixtures("empty_scene")
+pytestmark = pytest.mark.usefixtures("empty_scene", "coarse_packing")
 
 
 @pytest.fixture

@@ -20,7 +20,7 @@ from farfield.addon.operators.photos.sources import find_cameras
 from image_data import write_image
 from photo_scenes import SIZE, camera_at, grid, photograph, ring, smooth_texture
 
-pytestmark = pytest.mark.usefixtures("empty_scene", "quick_merges")
+pytestmark = pytest.mark.usefixtures("empty_scene", "quick_merges", "coarse_packing")
 FAST = {"size": SIZE, "sharpen": False}
 
 

@@ -13,7 +13,7 @@ from farfield.addon.compat import enable_nodes
 from image_data import write_image
 from photo_scenes import SIZE, grid, photograph, ring, smooth_texture
 
-pytestmark = pytest.mark.usefixtures("empty_scene", "quick_merges")
+pytestmark = pytest.mark.usefixtures("empty_scene", "quick_merges", "coarse_packing")
 
 
 @cache

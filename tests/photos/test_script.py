@@ -14,7 +14,7 @@ from image_data import read_image, write_image
 from lib import command_line
 from photo_scenes import SIZE, detailed_texture, grid, photograph, ring, smooth_texture
 
-pytestmark = pytest.mark.usefixtures("empty_scene", "quick_merges")
+pytestmark = pytest.mark.usefixtures("empty_scene", "quick_merges", "coarse_packing")
 
 
 def run(*arguments):

@@ -15,7 +15,7 @@ from image_data import read_image, write_image
 from lib import command_line
 from photo_scenes import SIZE, grid, photograph, ring, smooth_texture
 
-pytestmark = pytest.mark.usefixtures("empty_scene", "quick_merges")
+pytestmark = pytest.mark.usefixtures("empty_scene", "quick_merges", "coarse_packing")
 LEFT, RIGHT = np.s_[:, : SIZE // 2], np.s_[:, SIZE // 2 :]
 
 
@@ -72,7 +72,7 @@ def check_halves(first, second):
         assert np.sqrt(np.mean((found - expected)[8:-8, 8:-8] ** 2)) < 0.02, path
 
 
-@pytest.mark.parametrize("extension", [".blend", pytest.param(".obj", marks=pytest.mark.exhaustive), ".glb"])
+@pytest.mark.parametrize("extension", [*(pytest.param(name, marks=pytest.mark.exhaustive) for name in (".blend", ".obj")), ".glb"])
 def test_a_file_per_tile(inputs, tmp_path, extension):
     mesh, out = write_obj(tmp_path / "mesh.obj", 1.0), tmp_path / f"out{extension}"
     texture, report, stages = tmp_path / "wood.<UDIM>.png", tmp_path / "report.json", tmp_path / "stages"

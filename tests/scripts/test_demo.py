@@ -7,13 +7,16 @@ import pytest
 
 pytest.importorskip("bpy")
 
-from lib import command_line
+import bpy
+
+from lib import command_line, demo_photos
 from lib.demo_report import to_markdown
 from mesh_files import CUBE
 
 
 @pytest.mark.once
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_samples", "coarse_packing")
 def test_the_demo_writes_scenes_sheets_and_report(extension, tmp_path, monkeypatch):
     import demo
 
@@ -24,11 +27,23 @@ def test_the_demo_writes_scenes_sheets_and_report(extension, tmp_path, monkeypat
         relighting=replace(quick.relighting, bake=replace(quick.relighting.bake, views_per_side=2, executor="serial"), frames=3, samples=2),
         forest_width=64,
         forest_samples=1,
-        photos=replace(quick.photos, photograph_width=200, samples=1, texture_size=256, view_pixels=64, subdivisions=1),
+        photos=replace(quick.photos, photograph_width=200, samples=1, texture_size=256, view_pixels=64, subdivisions=0),
         terrain=replace(quick.terrain, size=65, width=64, samples=1),
-        levels=replace(quick.levels, segments=16),
+        levels=replace(quick.levels, segments=12),
     )
     monkeypatch.setattr(demo, "QUICK", preset)
+    create_model = demo_photos.create_model
+
+    def create_model_with_uvs(subdivisions):
+        """Farfield would take much longer for its UV map than for everything else."""
+        model = create_model(subdivisions)
+        bpy.ops.object.mode_set(mode="EDIT")
+        bpy.ops.mesh.select_all(action="SELECT")
+        bpy.ops.uv.smart_project()
+        bpy.ops.object.mode_set(mode="OBJECT")
+        return model
+
+    monkeypatch.setattr(demo_photos, "create_model", create_model_with_uvs)
     mesh = tmp_path / "würfel.obj"
     mesh.write_text(CUBE, encoding="utf-8")
     out = tmp_path / "out folder"

@@ -1,7 +1,5 @@
 """The demo's tree: equal seeds give equal trees, branches are connected, leaves have an image with alpha."""
 
-from functools import cache
-
 import numpy as np
 import pytest
 
@@ -13,6 +11,11 @@ from lib import demo_materials, demo_tree  # noqa: E402 - only if bpy is availab
 @pytest.fixture(scope="module")
 def skeleton():
     return demo_tree.grow_skeleton(3)
+
+
+@pytest.fixture(scope="module")
+def atlas() -> np.ndarray:
+    return demo_materials.paint_sprig_atlas(0)
 
 
 def test_every_branch_is_connected_to_the_root(skeleton):
@@ -62,8 +65,7 @@ def test_leaf_cards_are_flat_rectangles_in_one_cell_of_the_atlas(skeleton):
     assert vertices[:, 2].min() > 0.5
 
 
-def test_sprigs_have_leaves_and_transparent_pixels():
-    atlas = demo_materials.paint_sprig_atlas(0)
+def test_sprigs_have_leaves_and_transparent_pixels(atlas):
     side = demo_materials.SPRIGS_PER_SIDE * demo_materials.SPRIG_PIXELS
     assert atlas.shape == (side, side, 4)
     assert atlas.min() >= 0.0
@@ -77,8 +79,8 @@ def test_sprigs_have_leaves_and_transparent_pixels():
     assert (atlas[..., 1] >= atlas[..., 2]).all()  # green, also where transparent
 
 
-def test_growing_twice_gives_the_same_objects(monkeypatch):
-    monkeypatch.setattr(demo_materials, "paint_sprig_atlas", cache(demo_materials.paint_sprig_atlas))
+def test_growing_twice_gives_the_same_objects(monkeypatch, atlas):
+    monkeypatch.setattr(demo_materials, "paint_sprig_atlas", lambda _seed: atlas)
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     trees = [demo_tree.grow_tree(seed, leaves) for seed, leaves in ((1, 60), (1, 60), (2, 60), (1, 20))]
     arrays = [[positions(item) for item in tree] for tree in trees]

@@ -107,7 +107,7 @@ def test_no_point_of_a_level_is_farther_than_its_distance(fine, level, refitted)
 
 
 @pytest.mark.usefixtures("few_samples")
-@pytest.mark.parametrize("is_spiked", [False, True])
+@pytest.mark.parametrize("is_spiked", [pytest.param(False, marks=pytest.mark.exhaustive), True])
 def test_levels_that_the_refit_made_worse_are_those_of_the_simplification(monkeypatch, is_spiked):
     def refit_starts(*arguments):
         moved = yield from refit_as_usual(*arguments)
@@ -116,7 +116,7 @@ def test_levels_that_the_refit_made_worse_are_those_of_the_simplification(monkey
     refit_as_usual = level_chain.refit_starts
     monkeypatch.setattr(level_chain, "refit_starts", refit_starts)
     mesh = textured_sphere(12)
-    settings = TexmeshSettings(levels="ratios", ratios="0.4", views=2, max_image=32)
+    settings = TexmeshSettings(levels="ratios", ratios="0.4", views=1, max_image=16)
     chain = run_to_end(level_chain.make_levels(mesh, [checkered(16)], settings))
     assert chain.levels[1].is_moved != is_spiked
     assert np.linalg.norm(chain.levels[1].mesh.vertices, axis=1).max() < 1.1
@@ -134,14 +134,14 @@ def test_levels_whose_refit_stays_at_its_start_have_all_triangles(monkeypatch, f
 
 
 @pytest.mark.usefixtures("few_samples")
-@pytest.mark.parametrize(("order", "count"), [("visibility", 1), ("scale", 2)])
+@pytest.mark.parametrize(("order", "count"), [("visibility", 1), pytest.param("scale", 2, marks=pytest.mark.exhaustive)])
 def test_optimized_levels_of_large_meshes_are_simplified_once(monkeypatch, order, count):
     engines = []
     monkeypatch.setattr(level_chain, "MAX_RENDERED", 100)
     make_engine = levels.CollapseEngine
     monkeypatch.setattr(levels, "CollapseEngine", lambda *values, **named: engines.append(make_engine(*values, **named)) or engines[-1])
-    settings = TexmeshSettings(levels="ratios", ratios="0.4", views=2, max_image=32, removal_order=order)
-    mesh = textured_sphere(8)
+    settings = TexmeshSettings(levels="ratios", ratios="0.4", views=1, max_image=16, removal_order=order)
+    mesh = textured_sphere(6)
     chain = run_to_end(level_chain.make_levels(mesh, [checkered(16)], settings))
     assert len(engines) == count
     assert len(chain.levels) == 2 and len(chain.levels[1].mesh.triangles) <= round(0.4 * len(mesh.triangles))

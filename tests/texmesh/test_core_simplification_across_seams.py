@@ -31,7 +31,7 @@ def deviate(mesh: TexturedMesh, level: TexturedMesh) -> float:
     return float(closest_on_mesh(mesh.vertices, level.vertices[level.triangles])[0].max())
 
 
-@pytest.mark.parametrize("islands", [40, 200])
+@pytest.mark.parametrize("islands", [40, pytest.param(200, marks=pytest.mark.exhaustive)])
 def test_many_islands_do_not_stop_the_collapses(islands):
     mesh = torus(islands=islands, has_materials=True)
     level = simplify(mesh, len(mesh.triangles) // 20)

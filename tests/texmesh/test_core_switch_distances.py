@@ -147,7 +147,14 @@ def test_levels_that_would_never_be_shown_are_left_out():
     assert [switch.pixels for switch in switches] == pytest.approx([switch.pixels for switch in again], rel=0.05, abs=1.0)
 
 
-@pytest.mark.parametrize("segments", [(32, 8, 7, 6, 5), (32, 31, 30, 12, 10, 5), (32, 5, 32, 31, 30), (32, 31, 30)])
+@pytest.mark.parametrize(
+    "segments",
+    [
+        (32, 31, 30, 12, 10, 5),
+        (32, 5, 32, 31, 30),
+        *(pytest.param(each, marks=pytest.mark.exhaustive) for each in ((32, 8, 7, 6, 5), (32, 31, 30))),
+    ],
+)
 def test_sizes_of_images_at_switches_decrease_in_proportion(segments):
     shown, switches = run_to_end(switch_distances.find_shown_levels(open_images(*segments), SETTINGS))
     pixels = [switch.pixels for switch in switches]

@@ -137,10 +137,10 @@ def test_no_preview_starts_in_scripts(ball):
 def test_the_progress_names_the_object_and_never_decreases(ball):
     settings = TexmeshSettings(levels="ratios", ratios="0.3", views=1, max_image=16)
     steps = []
-    run_to_end(prepare_levels(bpy.context, [ball], settings, SceneSettings()).core_steps(), steps.append)
+    run_to_end(prepare_levels(bpy.context, [ball], TexmeshSettings(**SMALL), SceneSettings()).core_steps(), steps.append)
     assert not any("Ball" in step.label for step in steps)
     steps.clear()
-    other = textured_ball(9, "Other")
+    other = textured_ball(7, "Other")
     run_to_end(prepare_levels(bpy.context, [ball, other], settings, SceneSettings()).core_steps(), steps.append)
     fractions = [step.fraction for step in steps]
     assert fractions == sorted(fractions) and fractions[0] == 0.0 and fractions[-1] > 0.9
@@ -151,7 +151,7 @@ def test_the_progress_names_the_object_and_never_decreases(ball):
 
 def test_the_result_of_several_objects_begins_with_their_number(ball):
     textured_ball(8, "Other").scale.x = 2.0
-    for name, rings in (("Third", 12), ("Fourth", 10)):
+    for name, rings in (("Third", 7), ("Fourth", 6)):
         textured_ball(rings, name)
     bpy.ops.mesh.primitive_plane_add()
     bpy.ops.object.select_all(action="SELECT")

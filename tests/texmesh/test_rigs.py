@@ -94,7 +94,7 @@ def make(**values) -> list[bpy.types.Object]:
     return levels.levels
 
 
-@pytest.mark.parametrize("tube", ["modifier", "parent"], indirect=True)
+@pytest.mark.parametrize("tube", ["modifier", pytest.param("parent", marks=pytest.mark.exhaustive)], indirect=True)
 def test_levels_follow_their_armature(tube, capsys):
     rig = tube.parent
     pose(rig, 0.4)  # Levels do not depend on the pose in which they are made.
@@ -195,7 +195,7 @@ def test_shape_keys_that_are_not_relative_are_refused(face, capsys):
     assert all(level.data.shape_keys is None for level in levels)
 
 
-@pytest.mark.parametrize("one_file", [True, False])
+@pytest.mark.parametrize("one_file", [True, pytest.param(False, marks=pytest.mark.exhaustive)])
 def test_files_have_the_skins_of_levels(tube, tmp_path, capsys, one_file):
     rig = tube.parent
     levels = make()

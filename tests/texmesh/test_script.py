@@ -71,7 +71,7 @@ def test_ratios_are_reached(ball):
     assert [level["triangles"] for level in report["objects"][0]["levels"]] == [224, 112, 56]
 
 
-@pytest.mark.parametrize("quantized", [True, False])
+@pytest.mark.parametrize("quantized", [True, pytest.param(False, marks=pytest.mark.exhaustive)])
 def test_a_file_per_level(ball, quantized):
     _, report = make(ball, "--ratios", "0.5,0.1", *(() if quantized else ("--no-quantized",)), out="out.glb")
     assert not ball.with_name("out.glb").exists()

@@ -13,6 +13,7 @@ from farfield.addon.core.unwrap.settings import UnwrapSettings
 from farfield.addon.core.unwrap.unwrapping import UnwrapResult, unwrap
 from shapes import box, cylinder, sheet, sphere
 
+pytestmark = pytest.mark.usefixtures("coarse_packing")
 SIDES = 1.0, 0.6, 0.4
 
 

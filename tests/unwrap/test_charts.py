@@ -144,7 +144,7 @@ def test_a_sliver_between_doubled_vertices_does_not_become_a_triangle_with_two_c
 
 @pytest.mark.parametrize("axis", [0, *(pytest.param(axis, marks=pytest.mark.exhaustive) for axis in (1, 2))])
 def test_cuts_avoid_the_important_half_of_a_sphere(axis):
-    mesh = sphere(20)
+    mesh = sphere(14)
     points, indices = np.unique(np.round(mesh.vertices, 9), axis=0, return_inverse=True)
     triangles = indices.reshape(-1)[mesh.triangles].astype(np.int32)
     is_important = points[triangles].mean(axis=1)[:, axis] > 0.0

@@ -14,6 +14,7 @@ from farfield.addon.core.unwrap.settings import UnwrapSettings
 from farfield.addon.core.unwrap.unwrapping import UnwrapResult, unwrap
 from shapes import box, cylinder, sheet, sphere
 
+pytestmark = pytest.mark.usefixtures("coarse_packing")
 BRACKET = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 0.4], [0.4, 0.4], [0.4, 2.0], [0.0, 2.0]])
 BRACKET_TRIANGLES = [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]]
 

@@ -9,7 +9,7 @@ from farfield.addon.bridge.unwrap import uv_maps
 from farfield.addon.operators.unwrap import operators
 from farfield.addon.panels.unwrap import METRICS, draw_metrics
 
-pytestmark = pytest.mark.usefixtures("empty_scene")
+pytestmark = pytest.mark.usefixtures("empty_scene", "coarse_packing")
 
 
 class Layout:

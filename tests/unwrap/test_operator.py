@@ -12,10 +12,9 @@ from farfield.addon.bridge.unwrap import uv_maps
 from farfield.addon.bridge.unwrap.stretch_display import save_stretch_image
 from farfield.addon.core.geometry.transforms import signed_areas
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.unwrap import raster_packing
 from farfield.addon.core.unwrap.overlaps import count_overlaps
 
-pytestmark = pytest.mark.usefixtures("empty_scene")
+pytestmark = pytest.mark.usefixtures("empty_scene", "coarse_packing")
 SQUARE = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.0, 1.0, 0.0)]
 
 
@@ -33,12 +32,6 @@ def link(item):
     item.select_set(True)
     bpy.context.view_layer.objects.active = item
     return item
-
-
-@pytest.fixture(autouse=True)
-def coarse_packing(monkeypatch):
-    """Pack in few cells, which takes a tenth of the time: how densely islands are packed is a promise of `test_packing`."""
-    monkeypatch.setattr(raster_packing, "GRID_SIDE", 96)
 
 
 def add_sphere(segments=12, rings=6, **options):
@@ -100,7 +93,7 @@ def test_concave_polygons_are_not_cut():
     assert_is_valid(item)
 
 
-@pytest.mark.parametrize("islands", ["creases", "one", "atlas"])
+@pytest.mark.parametrize("islands", ["creases", *(pytest.param(islands, marks=pytest.mark.exhaustive) for islands in ("one", "atlas"))])
 def test_quads_that_are_not_flat_are_not_cut(islands):
     """Where a polygon is cut, the map in the mesh is another one than the map that was measured."""
     item = add_sphere()
@@ -280,7 +273,7 @@ def test_edit_mode_without_a_selection_is_an_error():
     bpy.ops.object.mode_set(mode="OBJECT")
 
 
-@pytest.mark.parametrize("islands", ["one", "atlas"])
+@pytest.mark.parametrize("islands", ["one", pytest.param("atlas", marks=pytest.mark.exhaustive)])
 def test_a_mesh_with_all_defects_is_unwrapped(islands):
     """Loose parts, a non-manifold edge, faces that touch in a vertex, opposite winding, no area, slivers, an unused vertex."""
     vertices = [*SQUARE, (0.5, 0.5, 1.0), (-1.0, -1.0, 0.0), (-1.0, 0.0, 0.0), (9.0, 9.0, 9.0)]
@@ -430,8 +423,7 @@ class TestChangesWhileUnwrapping:
     def test_no_mesh_is_written_when_one_cannot_be(self, change):
         from farfield.addon.core.errors import GeometryError
 
-        first, second = add_sphere(), add_sphere(location=(5.0, 0.0, 0.0))
-        first.select_set(True)
+        first, second = (add_mesh(name, SQUARE, [(0, 1, 2, 3)]) for name in ("First", "Second"))
         changes = {
             "fill": lambda: [second.data.uv_layers.new(name=f"Map {index}") for index in range(8)],
             "remove": lambda: bpy.data.objects.remove(second) or bpy.data.meshes.remove(bpy.data.meshes[-1]),

@@ -89,7 +89,7 @@ def pack_random_rectangles(texture, count=40, seed=3):
     ("size", "margin"),
     [
         pytest.param((2048, 2048), 8, marks=pytest.mark.exhaustive),
-        ((1024, 1024), 3),
+        pytest.param((1024, 1024), 3, marks=pytest.mark.exhaustive),
         pytest.param((4096, 1024), 8, marks=pytest.mark.exhaustive),
         ((512, 1024), 20),
         ((256, 256), 0),

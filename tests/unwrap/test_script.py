@@ -13,7 +13,7 @@ from farfield.addon.core.errors import FileError, GeometryError, SettingsError
 from lib import command_line, environment
 from shapes import sphere
 
-pytestmark = pytest.mark.usefixtures("empty_scene")
+pytestmark = pytest.mark.usefixtures("empty_scene", "coarse_packing")
 SCRIPT = environment.ROOT / "scripts" / "unwrap.py"
 REPORT_KEYS = (
     *("l2", "linf", "p95", "p99", "max_expansion", "symmetric_dirichlet", "anisotropy_p99", "anisotropic_fraction", "needles"),

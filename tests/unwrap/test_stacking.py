@@ -10,6 +10,8 @@ from farfield.addon.core.unwrap.stacking import find_copies
 from farfield.addon.core.unwrap.unwrapping import unwrap
 from shapes import box, bumpy_sphere, sheet
 
+pytestmark = pytest.mark.usefixtures("coarse_packing")
+
 
 def rotation(seed):
     q, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))

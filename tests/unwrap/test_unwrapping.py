@@ -10,6 +10,7 @@ from farfield.addon.core.unwrap.settings import UnwrapSettings
 from farfield.addon.core.unwrap.unwrapping import UnwrapResult, unwrap
 from shapes import sphere
 
+pytestmark = pytest.mark.usefixtures("coarse_packing")
 NO_SEAMS = np.zeros((0, 2), int)
 
 

@@ -65,10 +65,18 @@ def fit_luminance(
             return textures
         wanted += yield from subprogress(_render_views(work, objects, SAMPLES, views[FIRST_VIEWS:]), 0.3, 0.4)
         step = 0.6 / len(deviating)
-        for index, level in enumerate(deviating):
-            steps = _fit_level(work, cloud.levels[level], textures[level], source.origin, views, wanted)
-            textures[level] = yield from subprogress(steps, 0.4 + step * index, 0.4 + step * (index + 1))
+        for index, shown in enumerate(deviating):
+            steps = _fit_level(work, cloud.levels[shown.index], textures[shown.index], source.origin, views, wanted, shown)
+            textures[shown.index] = yield from subprogress(steps, 0.4 + step * index, 0.4 + step * (index + 1))
     return textures
+
+
+class ShownLevel(NamedTuple):
+    """The level number `index` as users see it, and its renders (H, W, 4) from the first views."""
+
+    index: int
+    item: bpy.types.Object
+    renders: list[np.ndarray]
 
 
 def _find_deviating(
@@ -78,8 +86,8 @@ def _find_deviating(
     origin: np.ndarray,
     views: Sequence[OrthographicView],
     wanted: Sequence[np.ndarray],
-) -> Steps[list[int]]:
-    """Return the indices of the levels whose luminance or coverage differs from one of the renders `wanted` of the first `views`.
+) -> Steps[list[ShownLevel]]:
+    """Return the levels whose luminance or coverage differs from one of the renders `wanted` of the first `views`.
 
     There are none if these show other objects than those that the cloud was built from.
     """
@@ -92,7 +100,7 @@ def _find_deviating(
         if not all(_overlap(*pair) for pair in pairs):
             return []
         if any(_deviates(*pair) for pair in pairs):
-            deviating.append(index)
+            deviating.append(ShownLevel(index, shown, renders))
     return deviating
 
 
@@ -116,14 +124,15 @@ def _fit_level(
     origin: np.ndarray,
     views: Sequence[OrthographicView],
     wanted: Sequence[np.ndarray],
+    shown: ShownLevel,
 ) -> Steps[LevelTextures]:
-    """Return `textures` with the luminance and coverage of the renders `wanted`, one per view."""
+    """Return `textures` with the luminance and coverage of the renders `wanted`, one per view. shown: the level with these textures."""
     quads = level.atlas.quad_map
     is_loose = ~level.joined & [chart is None for chart in level.charts]
     is_thinned = np.append(is_loose, False)[quads]  # A surface that continues must not get holes.
-    shown = _add_level(work, level, textures, origin)
-    ids = yield from subprogress(_render_views(work, [_add_texels(work, shown)], 1, views), 0.0, 0.3)
-    renders = yield from subprogress(_render_views(work, [shown], SAMPLES, views), 0.3, 0.6)
+    ids = yield from subprogress(_render_views(work, [_add_texels(work, shown.item)], 1, views), 0.0, 0.3)
+    further_views = views[len(shown.renders) :]
+    renders = shown.renders + (yield from subprogress(_render_views(work, [shown.item], SAMPLES, further_views), 0.3, 0.6))
     seen = _observe(wanted, renders, ids, level)
     gain, balance = seen.compare_luminance()
     sides = []
@@ -134,8 +143,8 @@ def _fit_level(
     textures = _scale_specular(replace(textures, front=sides[0], back=sides[1]), gain)
     if abs(gain - 1.0) <= MAX_DEVIATION:
         return textures
-    shown = _add_level(work, level, textures, origin)
-    renders = yield from subprogress(_render_views(work, [shown], SAMPLES, views), 0.6, 1.0)
+    fitted = _add_level(work, level, textures, origin)
+    renders = yield from subprogress(_render_views(work, [fitted], SAMPLES, views), 0.6, 1.0)
     gain, balance = _observe(wanted, renders, ids, level).compare_luminance()
     front, back = (_scale(maps, gain * balance, np.ones(1)) for maps in (textures.front, textures.back))
     return _scale_specular(replace(textures, front=front, back=back), gain)

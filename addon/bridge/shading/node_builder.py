@@ -145,10 +145,12 @@ class NodeBuilder:
             if not has_changed:
                 break
         heights: dict[int, float] = {}
+        locations: list[float] = []
         for node in self.tree.nodes:
             column = columns[node.name]
-            node.location = -COLUMN_WIDTH * column, heights.get(column, 0.0)
+            locations += -COLUMN_WIDTH * column, heights.get(column, 0.0)
             heights[column] = heights.get(column, 0.0) - (TALL_ROW_HEIGHT if node.type in TALL_NODES else ROW_HEIGHT)
+        self.tree.nodes.foreach_set("location", locations)  # All at once: Blender updates the tree whenever one node is moved.
 
 
 def create_node_material(name: str) -> tuple[bpy.types.Material, NodeBuilder]:

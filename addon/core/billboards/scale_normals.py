@@ -100,10 +100,11 @@ def _merge(
 
 def _blur(positions: np.ndarray, moments: np.ndarray, radius: float) -> np.ndarray:
     """Return the moments (C, 10) over the neighborhood of each of `positions` (C, 3), per weighted area."""
-    tree = cKDTree(positions)
-    near = tree.sparse_distance_matrix(tree, radius, output_type="coo_matrix")
-    weights = 1.0 - (near.data / radius) ** 2
-    blurred = csr_array((weights, (near.row, near.col)), shape=near.shape) @ moments
+    first, second = cKDTree(positions).query_pairs(radius, output_type="ndarray").T
+    offsets = positions[first] - positions[second]
+    weights = 1.0 - np.einsum("pi,pi->p", offsets, offsets) / radius**2
+    near = csr_array((weights, (first, second)), shape=(len(positions), len(positions)))
+    blurred = moments + near @ moments + near.T @ moments
     return blurred / blurred[:, -1:]
 
 

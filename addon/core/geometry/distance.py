@@ -176,23 +176,25 @@ def plane_barycentric(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 def bound_hausdorff(
-    corners: np.ndarray, target: TriangleTree, tolerance: float, minimum: float = 0.0, max_pieces: int = MAX_PIECES
+    corners: np.ndarray, target: TriangleTree, tolerance: float, minimum: float = 0.0, max_pieces: int = MAX_PIECES, precision: float = 0.0
 ) -> tuple[float, float]:
     """Return bounds of the largest distance of any point of triangles (T, 3, 3) to those of `target`: one that a point has or `minimum` if
     that is more, and one that none exceeds.
 
     The distance to one triangle is convex, so over a whole face it is largest at a corner: this bounds a face from above, and its corners
-    bound it from below. Faces whose bounds differ are subdivided until they agree up to `tolerance`, or until there would be more than
-    `max_pieces`.
+    bound it from below. Faces whose bounds differ are subdivided until they agree up to `tolerance`, or up to the fraction `precision` of
+    the distance if that is more, or until there would be more than `max_pieces`.
     """
     some = corners[:: max(len(corners) // FIRST_PIECES, 1)]
     largest, pieces = max(minimum, float(target.find_closest(some.mean(axis=1), minimum)[0].max(initial=0.0))), corners
     while True:
-        lower, upper = _distance_bounds(pieces, target, largest + tolerance, tolerance)
+        margin = max(tolerance, precision * largest)
+        lower, upper = _distance_bounds(pieces, target, largest + margin, margin)
         largest = max(largest, float(lower.max()))
-        is_open = upper > largest + tolerance
+        margin = max(tolerance, precision * largest)
+        is_open = upper > largest + margin
         if not is_open.any():
-            return largest, largest + tolerance
+            return largest, largest + margin
         if 4 * is_open.sum() > max_pieces:
             return largest, float(upper.max())
         pieces = _subdivide(pieces[is_open])

@@ -39,8 +39,8 @@ LINE_FACTOR, LINE_OFFSET = (29.0 / 6.0) ** 2 / 3.0, 4.0 / 29.0
 
 @dataclass(frozen=True)
 class FlipImage:
-    """An image as FLIP compares it: Hunt-adjusted CIELAB colors (H, W, 3) after the viewer's blur, and the magnitudes (H, W) of edges and
-    points, all float32."""
+    """An image as FLIP compares it: Hunt-adjusted CIELAB colors (3, H, W) after the viewer's blur, and the magnitudes (H, W) of edges and
+    points, all float32. Here channels come first: NumPy works on whole planes several times faster than on three values per pixel."""
 
     colors: np.ndarray
     edges: np.ndarray
@@ -66,9 +66,8 @@ def prepare_image(pixels: np.ndarray, pixels_per_degree: float = DEFAULT_PIXELS_
         raise SettingsError(f"The number of pixels per degree must be positive, not {pixels_per_degree:g}.")
     clipped = np.clip(np.asarray(pixels, np.float32), 0.0, 1.0)
     linear = clipped if is_linear else decode_signed_srgb(clipped).astype(np.float32)
-    # In double precision: of gray, the chromatic parts must vanish, since the error grows with a small power of a difference.
-    opponent = (linear.astype(np.float64) @ OPPONENT_OF_RGB.T).astype(np.float32)
-    edges, points = _detect_features(opponent[..., 0], pixels_per_degree)
+    opponent = _opponent_colors(linear)
+    edges, points = _detect_features(opponent[0], pixels_per_degree)
     return FlipImage(adjust_hunt(lab_colors(_blur(opponent, pixels_per_degree))), edges, points)
 
 
@@ -89,14 +88,26 @@ def filter_radius(pixels_per_degree: float) -> int:
     return math.ceil(3.0 * math.sqrt(MAX_VARIANCE / (2.0 * math.pi**2)) * pixels_per_degree)
 
 
+def _opponent_colors(linear: np.ndarray) -> np.ndarray:
+    """Return the opponent colors (3, H, W) Y, X - Y and Y - Z of linear colors (H, W, 3).
+
+    Their factors sum to 1, 0 and 0, so with green as the origin the chromatic parts of gray are exactly 0. Rounding would count, since the
+    error grows with a small power of a difference.
+    """
+    red, green, blue = np.moveaxis(linear, 2, 0)
+    opponent = np.tensordot(OPPONENT_OF_RGB[:, ::2].astype(np.float32), np.stack([red - green, blue - green]), 1)
+    opponent[0] += green
+    return opponent
+
+
 def _blur(opponent: np.ndarray, pixels_per_degree: float) -> np.ndarray:
-    """Return XYZ values (H, W, 3) relative to the white, of `opponent` colors Y, X - Y, Y - Z after the viewer's contrast sensitivity.
+    """Return XYZ values (3, H, W) relative to the white, of `opponent` colors after the viewer's contrast sensitivity.
 
     Factors and offsets of the opponent colors do not change under filters with sum 1.
     """
     radius = filter_radius(pixels_per_degree)
     squares = (np.arange(-radius, radius + 1) / pixels_per_degree) ** 2
-    luminance, red_green, blue_yellow = np.moveaxis(opponent, 2, 0)
+    luminance, red_green, blue_yellow = opponent
     y_blurred = _filter_separably(luminance, _gaussian(squares, ACHROMATIC[1]))
     x_blurred = y_blurred + _filter_separably(red_green, _gaussian(squares, RED_GREEN[1]))
     # A sum of two Gaussians is separable only term by term; each term keeps its part of the integral.
@@ -105,8 +116,8 @@ def _blur(opponent: np.ndarray, pixels_per_degree: float) -> np.ndarray:
     sums = [height * curve.sum() ** 2 for height, curve in zip(heights, curves, strict=True)]
     terms = [part / sum(sums) * _filter_separably(blue_yellow, curve / curve.sum()) for part, curve in zip(sums, curves, strict=True)]
     z_blurred = y_blurred - terms[0] - terms[1]
-    rgb = np.clip(np.stack([x_blurred, y_blurred, z_blurred], axis=2) @ RGB_OF_RELATIVE.T, 0.0, 1.0)
-    return rgb @ RELATIVE_OF_RGB.T.astype(np.float32)
+    rgb = np.tensordot(RGB_OF_RELATIVE, np.stack([x_blurred, y_blurred, z_blurred]), 1)
+    return np.tensordot(RELATIVE_OF_RGB.astype(np.float32), np.clip(rgb, 0.0, 1.0, out=rgb), 1)
 
 
 def _gaussian(squares: np.ndarray, variance: float) -> np.ndarray:
@@ -114,9 +125,9 @@ def _gaussian(squares: np.ndarray, variance: float) -> np.ndarray:
     return weights / weights.sum()
 
 
-def _filter_separably(values: np.ndarray, across: np.ndarray, along: np.ndarray | None = None) -> np.ndarray:
-    """Return `values` (H, W) filtered along x with `across` and along y with `along`, the same by default. Borders are repeated."""
-    return _filter(_filter(values, across, axis=1), across if along is None else along, axis=0)
+def _filter_separably(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return `values` (H, W) filtered along x and along y. Borders are repeated."""
+    return _filter(_filter(values, weights, axis=1), weights, axis=0)
 
 
 def _filter(values: np.ndarray, weights: np.ndarray, axis: int) -> np.ndarray:
@@ -148,10 +159,11 @@ def _detect_features(luminance: np.ndarray, pixels_per_degree: float) -> tuple[n
     x = np.arange(-radius, radius + 1, dtype=np.float64)
     gaussian = np.exp(-(x**2) / (2.0 * deviation**2))
     smooth = gaussian / gaussian.sum()
-    magnitudes = []
+    smoothed, magnitudes = _filter(luminance, smooth, axis=1), []
     for derivative in (-x * gaussian, (x**2 / deviation**2 - 1.0) * gaussian):
         weights = _balance(derivative)
-        magnitudes.append(np.hypot(_filter_separably(luminance, weights, smooth), _filter_separably(luminance, smooth, weights)))
+        along_x = _filter(_filter(luminance, weights, axis=1), smooth, axis=0)
+        magnitudes.append(np.hypot(along_x, _filter(smoothed, weights, axis=0)))
     return magnitudes[0], magnitudes[1]
 
 
@@ -162,21 +174,20 @@ def _balance(weights: np.ndarray) -> np.ndarray:
 
 
 def lab_colors(relative: np.ndarray) -> np.ndarray:
-    """Return CIELAB colors (..., 3) of XYZ values relative to the white."""
-    roots = np.where(relative > CUBE_ROOT_LIMIT, np.cbrt(relative), LINE_FACTOR * relative + LINE_OFFSET)
-    x, y, z = np.moveaxis(roots, -1, 0)
-    return np.stack([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)], axis=-1)
+    """Return CIELAB colors (3, ...) of XYZ values relative to the white."""
+    x, y, z = np.where(relative > CUBE_ROOT_LIMIT, np.cbrt(relative), LINE_FACTOR * relative + LINE_OFFSET)
+    return np.stack([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)])
 
 
 def adjust_hunt(lab: np.ndarray) -> np.ndarray:
-    """Return CIELAB colors whose chroma grows with luminance (Hunt effect)."""
-    return np.concatenate([lab[..., :1], 0.01 * lab[..., :1] * lab[..., 1:]], axis=-1)
+    """Return CIELAB colors (3, ...) whose chroma grows with luminance (Hunt effect)."""
+    return np.concatenate([lab[:1], 0.01 * lab[:1] * lab[1:]])
 
 
 def _hyab(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the HyAB distances of CIELAB colors (..., 3), a metric for large differences."""
+    """Return the HyAB distances of CIELAB colors (3, ...), a metric for large differences."""
     difference = first - second
-    return np.abs(difference[..., 0]) + np.hypot(difference[..., 1], difference[..., 2])
+    return np.abs(difference[0]) + np.hypot(difference[1], difference[2])
 
 
 RGB_OF_RELATIVE = (np.linalg.inv(XYZ_OF_RGB) * WHITE).astype(np.float32)

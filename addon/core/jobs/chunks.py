@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import lru_cache
+from itertools import chain, islice
 from threading import Lock
 from typing import Any, TypeVar
 
@@ -47,11 +48,17 @@ def map_ordered(function: Callable[[Item], Result], items: Iterable[Item]) -> It
     matrix products use one thread meanwhile, in the whole process: BLAS threads and these threads would wait for each other.
     """
     count = min(os.cpu_count() or 1, MAX_THREADS)
+    remaining = iter(items)
+    first = list(islice(remaining, 2))
+    if len(first) < 2:  # not worth a thread
+        with blas_thread_limit.limit_to_one():
+            yield from map(function, first)
+        return
     pending: deque[Future[Result]] = deque()
     threads = ThreadPoolExecutor(count, thread_name_prefix="farfield-map")
     with blas_thread_limit.limit_to_one():
         try:
-            for item in items:
+            for item in chain(first, remaining):
                 pending.append(threads.submit(function, item))
                 if len(pending) > count:
                     yield pending.popleft().result()

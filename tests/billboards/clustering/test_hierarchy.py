@@ -1,9 +1,8 @@
 """Tests of the hierarchical clustering: costs follow equation 3, merging in rounds is as good as one pair at a time, levels nest."""
 
-import sys
-
 import numpy as np
 import pytest
+from greedy_clustering import merge_one_at_a_time, texture_waste
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -12,12 +11,7 @@ from farfield.addon.core.billboards.primitives import Primitives, from_mesh
 from farfield.addon.core.geometry.mesh import TriangleMesh, concatenate
 from farfield.addon.core.geometry.proximity import neighbor_pairs
 from farfield.addon.core.jobs.progress import run_to_end
-from lib import environment
 from shapes import bumpy_sphere, cylinder, random_rotation, sheet, sphere
-
-sys.path.append(str(environment.ROOT / "benchmarks"))
-
-from greedy_clustering import merge_one_at_a_time, texture_waste
 
 SIXTY = np.radians(60.0)
 BOUNDS = ClusterBounds(error=0.01, max_normal_deviation=SIXTY, max_texture_waste=8.0)

@@ -116,7 +116,7 @@ def test_split_views_covers_all_views_in_order_and_uses_all_slots(missing, slots
     assert len(shards) == len(missing) or len(shards) % slots == 0
 
 
-@pytest.mark.parametrize("word", ["serial", "processes:2"])
+@pytest.mark.parametrize("word", [pytest.param("serial", marks=pytest.mark.exhaustive), "processes:2"])
 def test_every_view_is_rendered_once(bake, undisturbed, word):
     fractions = []
     assert run_to_end(bake.steps(word), lambda step: fractions.append(step.fraction)) == 2 * VIEWS

@@ -15,6 +15,7 @@ from farfield.addon.core.jobs.progress import run_to_end
 from fmf_reader import read_fmf
 from random_textures import random_texture
 
+pytestmark = pytest.mark.core
 EXTERNAL_READER = """
 import json, sys
 import numpy as np
@@ -96,7 +97,7 @@ def test_files_beyond_the_size_limit_are_rejected(monkeypatch):
     reference_tools.find_python() is None,
     reason="btf-extractor is not installed; run python3 scripts/reference_tools.py",
 )
-@pytest.mark.parametrize("clusters", [1, 3])
+@pytest.mark.parametrize("clusters", [pytest.param(1, marks=pytest.mark.exhaustive), 3])
 def test_btf_extractor_reads_the_same_values(tmp_path, clusters):
     texture, directions = random_texture(size=(9, 6), clusters=clusters), bonn_directions()
     path = write(tmp_path / "cloud.btf", texture, directions, directions)

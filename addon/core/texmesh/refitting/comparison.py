@@ -21,7 +21,7 @@ QUANTILE = 0.99  # Of the deviations of the texture, since points whose island a
 MAX_RATIO = 1.25  # A level is preferred if its deviations are at most this multiple of those of the others.
 MAX_DIFFERENCE_RATIO, MIN_DIFFERENCE = 1.05, 1e-3  # The same for FLIP; differences far below the second number do not count.
 FEW_PIECES, MANY_PIECES = 4_000, 40_000  # into which triangles of a level are divided where they may be farthest, at once
-PRECISION = 0.05  # Of the largest distance, relative to that of the samples of the fine mesh.
+PRECISION, BOUND_PRECISION = 0.05, 0.01  # Of the largest distance of levels that are compared, and of the one that is reported.
 TOLERANCE = 1e-5  # Relative to the longest side of the mesh; smaller deviations do not count.
 
 
@@ -59,13 +59,12 @@ class LevelComparison:
         from_fine = float(tree.find_closest(self._samples.positions[::SPARSE])[0].max())
         rows = np.flatnonzero(deviations > from_fine)  # No distance is larger than that between equal texture coordinates.
         from_fine = max(from_fine, float(tree.find_closest(self._samples.positions[rows], from_fine)[0].max(initial=0.0)))
-        largest = self._bound(level, from_fine, FEW_PIECES)[0]
+        largest = self._bound(level, from_fine, FEW_PIECES, PRECISION)[0]
         return largest, float(np.quantile(deviations, QUANTILE))
 
     def bound_distance(self, level: TexturedMesh) -> float:
         """Return a distance from the fine mesh that no point of `level` exceeds."""
-        return self._bound(level, 0.0, MANY_PIECES)[1]
+        return self._bound(level, 0.0, MANY_PIECES, BOUND_PRECISION)[1]
 
-    def _bound(self, level: TexturedMesh, minimum: float, max_pieces: int) -> tuple[float, float]:
-        tolerance = max(PRECISION * minimum, self._tolerance)
-        return bound_hausdorff(level.vertices[level.triangles], self.surface.tree, tolerance, minimum, max_pieces)
+    def _bound(self, level: TexturedMesh, minimum: float, max_pieces: int, precision: float) -> tuple[float, float]:
+        return bound_hausdorff(level.vertices[level.triangles], self.surface.tree, self._tolerance, minimum, max_pieces, precision)
