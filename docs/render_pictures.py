@@ -50,21 +50,21 @@ from lib.studio import bounding_sphere, open_studio
 
 VIEW_DIRECTION = np.array([0.55, -0.80, 0.22]) / np.linalg.norm([0.55, -0.80, 0.22])  # from the object towards the camera
 VIEW_FROM_ABOVE = np.array([0.35, -0.60, 0.72]) / np.linalg.norm([0.35, -0.60, 0.72])
-TREE_PIXELS = 960
+TREE_PIXELS = 600
 LEVEL_PIXELS = 250
-HEAD_PIXELS = 700
+HEAD_PIXELS = 290
 HEAD_ERROR = 0.02
 HEAD_VOXEL = 0.04
 MAP_PIXELS = 300
 MAP_MARGIN = 45  # empty pixels along the edges of the render
 CROSSFADE_PIXELS = 280
 DISTANCE_WIDTH, FLIGHT_WIDTH = 1600, 480
-RELIGHT_PIXELS = 400
+RELIGHT_PIXELS = 290
 RELIGHT_ERROR = 0.01
 RELIGHT_ROUGHNESS = 0.3
 RESTORE_PIXELS = 240
-WOOD_WIDTH = 1600
-LANDSCAPE_WIDTH = 1600
+WOOD_WIDTH = 660
+LANDSCAPE_WIDTH = 720
 CLIFFS_PIXELS = 520
 WALK_WIDTH = 184
 WALK_ROWS = ("1 to 4", "5 to 8", "9 to 12")
