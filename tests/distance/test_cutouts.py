@@ -12,9 +12,12 @@ from farfield.addon.bridge.geometry.meshes import read_mesh
 from farfield.addon.bridge.imaging.images import create_image
 from farfield.addon.bridge.shading.surface_reader import read_surface
 from farfield.addon.compat import enable_nodes
+from farfield.addon.core.distance import DistanceSettings
 from farfield.addon.core.distance.cutouts import MAX_PIECES, SIDE, Cutouts, find_cutouts, place_pieces
 from farfield.addon.core.geometry.mesh import face_areas_and_normals
 from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.operators.distance.job import prepare
+from farfield.addon.operators.job_run import run_job
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 COUNT = 400
@@ -114,8 +117,8 @@ def test_opacity_that_is_more_than_an_image_stays():
     assert read_opacity_map(material) is None
 
 
-def test_levels_of_a_tree_of_cards_are_opaque_from_some_distance_on():
-    add_camera()
+def add_tree_of_cards() -> tuple[bpy.types.Object, np.ndarray]:
+    """Add cards of leaves, and return their object and its vertices (V, 3)."""
     part, quad = square(1.0)
     vertices, triangles = scattered(part, quad, COUNT)
     mesh = bpy.data.meshes.new("Tree")
@@ -123,8 +126,25 @@ def test_levels_of_a_tree_of_cards_are_opaque_from_some_distance_on():
     mesh.uv_layers.new(name="Karte").data.foreach_set("uv", UVS.ravel())
     mesh.materials.append(leaf_material())
     item = bpy.data.objects.new("Tree", mesh)
+    bpy.context.scene.collection.objects.link(item)
+    return item, vertices
+
+
+@pytest.mark.parametrize("bounces", [8, 32])
+def test_a_limit_of_bounces_that_darkens_cards_is_named(bounces):
+    add_camera()
+    item, _ = add_tree_of_cards()
     scene = bpy.context.scene
-    scene.collection.objects.link(item)
+    scene.render.engine, scene.cycles.transparent_max_bounces = "CYCLES", bounces
+    message = run_to_end(run_job(prepare(scene, [item], DistanceSettings(min_triangles=10, billboard_cloud=False))))
+    assert ("With 8 Max Transparent Bounces of Cycles, cards of leaves are darker" in message) is (bounces == 8)
+    assert scene.cycles.transparent_max_bounces == bounces
+
+
+def test_levels_of_a_tree_of_cards_are_opaque_from_some_distance_on():
+    add_camera()
+    item, vertices = add_tree_of_cards()
+    scene = bpy.context.scene
     depsgraph = bpy.context.evaluated_depsgraph_get()
     foliage = find_foliage(read_mesh(item.evaluated_get(depsgraph), depsgraph))
     assert foliage.transparent_triangles == 2 * COUNT

@@ -11,7 +11,7 @@ from ..lod_sets import KIND
 from ..rendering.render_properties import ensure_transparent_bounces, estimate_transparent_bounces
 from ..shading.node_builder import NodeBuilder, ensure_shared_group
 from .assets import Asset
-from .chains import HOST, Chain, remove_unused_chains
+from .chains import CHAIN, HOST, Chain, remove_unused_chains
 from .level_switch import MAX_ERROR, NAME, TREE, VIEW_NAME, GeometryBuilder, Places, ensure_level_switch, level_modifiers
 from .particles import EMITTER, find_scatters, restore_particles
 
@@ -21,6 +21,7 @@ MIN_FADE_BOUNCES = 16  # Transparent surfaces of two levels that fade, one behin
 PLACES_NAME, PLACES_VERSION = "Farfield Places", 1
 PLACES = "farfield_places"  # Property of the object that shows the levels of empties: the collection of these.
 INSTANCE_TYPE = "farfield_instance_type"  # Property of an empty that levels stand for.
+CARD_BOUNCES = 32  # Of cards of leaves, one behind the other.
 BOUNCES = "farfield_distance_bounces"  # Property of a scene: its limit of transparent bounces before and after the levels were added.
 
 
@@ -91,12 +92,22 @@ def _raise_bounces(scene: bpy.types.Scene, bounces: int) -> None:
             scene[BOUNCES] = [scene.get(BOUNCES, [before])[0], scene.cycles.transparent_max_bounces]
 
 
-def describe_bounces(scene: bpy.types.Scene) -> str:
-    """Return a sentence if levels have raised the limit of transparent bounces, which changes how stacked transparent surfaces look."""
+def describe_bounces(scene: bpy.types.Scene, chains: Iterable[Chain]) -> str:
+    """Return a sentence if levels have raised the limit of transparent bounces, which changes how stacked transparent surfaces look, or if it
+    makes cards of leaves darker than their levels."""
     if BOUNCES not in scene:
+        limit = scene.cycles.transparent_max_bounces if scene.render.engine == "CYCLES" else CARD_BOUNCES
+        if limit < CARD_BOUNCES and any(map(_shows_pieces, chains)):
+            return f"With {limit} Max Transparent Bounces of Cycles, cards of leaves are darker than their levels; set {CARD_BOUNCES}."
         return ""
     before, after = scene[BOUNCES]
     return f"Max Transparent Bounces of Cycles was raised from {before} to {after}, with which stacked leaves of originals may be brighter."
+
+
+def _shows_pieces(chain: Chain) -> bool:
+    """Return whether a level has opaque pieces of leaves that are cut out of cards."""
+    materials = (slot.material for item in chain.objects for slot in item.material_slots)
+    return any(material is not None and material.get(KIND) == CHAIN for material in materials)
 
 
 def find_hosts(objects: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:

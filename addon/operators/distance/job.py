@@ -174,7 +174,7 @@ class DistanceJob:
             f"Distance-ready: {format_count(len(ready), 'object')} at {format_count(places, 'place')}; {figures}",
             "" if read_scene_camera(scene) is not None else "Add a camera: without one, all places show the original.",
             f"No lighter levels were found for {quote_names(alone[:3])}." if alone else "",
-            describe_bounces(scene),
+            describe_bounces(scene, ready),
             *self.remarks,
             f"Skipped: {list_first(self.skipped)}." if self.skipped else "",
         ]
