@@ -93,8 +93,8 @@ def _raise_bounces(scene: bpy.types.Scene, bounces: int) -> None:
 
 
 def describe_bounces(scene: bpy.types.Scene, chains: Iterable[Chain]) -> str:
-    """Return a sentence if levels have raised the limit of transparent bounces, which changes how stacked transparent surfaces look, or if it
-    makes cards of leaves darker than their levels."""
+    """Return a sentence if levels have raised the limit of transparent bounces, which changes how stacked transparent surfaces look, or if
+    the limit makes cards of leaves darker than their levels."""
     if BOUNCES not in scene:
         limit = scene.cycles.transparent_max_bounces if scene.render.engine == "CYCLES" else CARD_BOUNCES
         if limit < CARD_BOUNCES and any(map(_shows_pieces, chains)):
