@@ -21,6 +21,7 @@ from farfield.addon.operators.distance.analysis import OUTCOMES, Plan, describe_
 from farfield.addon.operators.distance.job import prepare
 from farfield.addon.operators.distance.measuring import prepare as prepare_measurement
 from farfield.addon.operators.job_run import run_job
+from farfield.addon.operators.results import read_result
 from textured_scenes import textured_ball
 
 pytestmark = pytest.mark.usefixtures("empty_scene", "few_samples", "quick_levels")
@@ -68,6 +69,7 @@ def test_perceptual_levels_of_an_object_and_its_linked_duplicate(camera):
     assert fading.data == ball.data and fading.material_slots[0].material != ball.material_slots[0].material
     assert bpy.ops.farfield.distance_remove() == {"FINISHED"}
     assert describe_file() == before
+    assert read_result(bpy.context.scene, "distance") == ["Objects that no longer show levels by distance: 2."]
 
 
 def test_an_object_that_is_light_when_decimated_gets_neither_perceptual_levels_nor_a_cloud(camera, monkeypatch):
