@@ -49,7 +49,7 @@ class FARFIELD_PG_btf(bpy.types.PropertyGroup):
 
 def disabled_reason(context: bpy.types.Context) -> str:
     """Return why nothing can be baked now, or an empty string."""
-    no_cloud = "" if active_cloud(context) is not None else "Select a billboard cloud or its original"
+    no_cloud = "" if active_cloud(context) is not None else "Build a billboard cloud first, or select one or its original"
     return long_work.running_job_message() or no_cloud or linked_reason(context)
 
 
