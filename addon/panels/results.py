@@ -8,7 +8,7 @@ from ..core.messages import first_sentences, split_sentences
 from ..operators import documentation, long_work, results
 from .sidebar import ToolPanel, draw_message
 
-PANEL_CHARS = 150  # Of the sentences on the panel, about five lines.
+PANEL_CHARS = 180  # Of the sentences on the panel, about six lines.
 DETAILS_WIDTH = 520  # pixels at scale 1
 DETAILS_CHARS = 84  # per line of this width
 OTHER_PANELS = ("FARFIELD_PT_unwrap_uv_editor",)  # for tools that have one in two editors
