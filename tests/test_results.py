@@ -1,10 +1,13 @@
 """The latest result of a tool: one sentence in the status bar and on its panel, the others under Details."""
 
+from unittest.mock import MagicMock
+
 import bpy
 import pytest
 
 from farfield.addon.core.messages import format_number, split_sentences
 from farfield.addon.operators.results import STATUS_CHARS, read_result, report_result, store_result, tool_of
+from farfield.addon.panels.results import PANEL_CHARS, draw_result
 
 pytestmark = pytest.mark.usefixtures("empty_scene", "coarse_packing")
 
@@ -40,6 +43,16 @@ def test_each_tool_has_its_own_result_and_undo_takes_it_away():
     assert read_result(scene, "btf") == []
     bpy.ops.ed.undo()
     assert read_result(bpy.context.scene, "billboards") == []
+
+
+def test_a_panel_shows_the_first_sentences_and_a_button_for_the_others():
+    store_result(bpy.context.scene, "bdam", f"7% are holes. The camera shows nothing beyond 1 km. {'A' * PANEL_CHARS}. Nothing else.")
+    panel = MagicMock(page="bdam")
+    column = panel.layout.box.return_value.column.return_value
+    draw_result(panel, bpy.context)
+    lines = [call.kwargs["text"] for call in column.column.return_value.label.call_args_list]
+    assert " ".join(lines) == "7% are holes. The camera shows nothing beyond 1 km."
+    assert column.operator.call_args.kwargs["text"] == "Details (2 more)"
 
 
 def test_an_operator_stores_the_result_of_its_job():

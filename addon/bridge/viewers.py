@@ -1,4 +1,5 @@
-"""Viewers of terrains: the 3D Viewport that the user looks at, or a camera with the scene's render settings."""
+"""Viewers of terrains: the 3D Viewport that the user looks at, or a camera with the scene's render settings. Also sentences
+about what they show."""
 
 import math
 
@@ -108,7 +109,17 @@ def describe_camera_range(scene: bpy.types.Scene, size: float) -> str:
 
 def describe_solid_view() -> str:
     """Return a sentence if a 3D Viewport shows one color per material; else an empty string."""
+    is_solid = any(shading.color_type == "MATERIAL" for shading in _solid_views())
+    return "Solid view shows the terrain in one color, Material Preview in those of the ground." if is_solid else ""
+
+
+def describe_solid_cloud() -> str:
+    """Return a sentence about billboard clouds if a 3D Viewport is in Solid shading; else an empty string."""
+    return "Material Preview shows how a cloud looks, Solid view only its quads." if _solid_views() else ""
+
+
+def _solid_views() -> list[bpy.types.View3DShading]:
+    """Return the shading of the 3D Viewports of all windows that are in Solid shading."""
     windows = [] if bpy.app.background else bpy.context.window_manager.windows
     viewports = (area.spaces.active for window in windows for area in window.screen.areas if area.type == "VIEW_3D")
-    is_solid = any(space.shading.type == "SOLID" and space.shading.color_type == "MATERIAL" for space in viewports)
-    return "Solid view shows the terrain in one color, Material Preview in those of the ground." if is_solid else ""
+    return [space.shading for space in viewports if space.shading.type == "SOLID"]

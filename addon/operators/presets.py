@@ -94,6 +94,7 @@ class FARFIELD_OT_preset_apply(PresetOperator, bpy.types.Operator):
         for group in settings_groups(context.scene, self.tool):
             for item in preset_settings(group.settings_types):
                 setattr(group, item.name, properties.to_blender(item, preset.values.get(item.name, item.default)))
+        long_work.redraw_sidebars(context.window_manager)  # Blender redraws only the menu, which stays open.
         count = format_count(len(preset.values), "setting")
         report_message(
             self, f'Preset "{self.name}": {count} changed from the defaults.' if self.name else "All settings have their defaults."

@@ -43,6 +43,12 @@ def report_result(operator: bpy.types.Operator, message: str) -> None:
         report_message(operator, f"{first} {others} more under Details.")
 
 
+def show_result(operator: bpy.types.Operator, scene: bpy.types.Scene, message: str) -> None:
+    """Report `message` as `report_result` does, and let the panel of the operator's tool show it in place of its latest result."""
+    store_result(scene, tool_of(type(operator).bl_idname), message)
+    report_result(operator, message)
+
+
 register_classes, unregister_classes = bpy.utils.register_classes_factory((FARFIELD_PG_results,))
 
 

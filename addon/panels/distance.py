@@ -36,8 +36,8 @@ from .sidebar import (
 LEVEL_TITLES = ("Level", "Triangles", "From")
 FIGURE_TITLES = ("Per Frame", "Originals", "Levels")
 MAX_ROWS = 8
-PLAN_ICONS = {"build": "MOD_DECIM", "ready": "CHECKMARK", "stays": "MESH_DATA"}
-NAME_PART, TRIANGLES_PART = 0.5, 0.5  # Of a row, and of the rest of it.
+PLAN_ICONS = {"build": "MOD_DECIM", "ready": "CHECKMARK", "stays": "MESH_DATA", "original": "MESH_DATA"}
+NAME_PART, TRIANGLES_PART = 0.52, 0.55  # Of a row, and of the rest of it.
 
 
 class DistanceSettingsPanel(SettingsPanel):
@@ -63,12 +63,12 @@ class FARFIELD_UL_distance_plans(bpy.types.UIList):
     ) -> None:
         """Draw one row."""
         row = layout.split(factor=NAME_PART)
-        row.active = item.outcome != "stays" and item.method != "original"
-        row.label(text=item.name, icon=PLAN_ICONS[item.outcome])
+        row.active = item.current_outcome in ("build", "ready")
+        row.label(text=item.name, icon=PLAN_ICONS[item.current_outcome])
         figures = row.split(factor=TRIANGLES_PART)
         figures.alignment = "RIGHT"
         figures.label(text=shorten_number(item.places * item.triangles))
-        figures.label(text=f"{item.pixels:,.0f} px")
+        figures.label(text=f"{item.pixels:.0f}")
 
 
 class FARFIELD_PT_distance(DistanceSettingsPanel, ToolPanel, bpy.types.Panel):
@@ -132,7 +132,7 @@ def draw_plans(layout: bpy.types.UILayout, group: bpy.types.PropertyGroup) -> No
     figures = titles.split(factor=TRIANGLES_PART)
     figures.alignment = "RIGHT"
     figures.label(text="Triangles")
-    figures.label(text="Size")
+    figures.label(text="Pixels")
     layout.template_list(FARFIELD_UL_distance_plans.bl_idname, "", group, "plans", group, "active_plan", rows=4, maxrows=MAX_ROWS)
     if group.active_plan < len(group.plans):
         plan = group.plans[group.active_plan]
@@ -141,7 +141,7 @@ def draw_plans(layout: bpy.types.UILayout, group: bpy.types.PropertyGroup) -> No
         row.enabled = False
         row.prop(plan, "nearest")
         images = f"{plan.image_megabytes:,.3g} MB of images" if plan.image_megabytes else "no images"
-        draw_message(column, f"{format_count(plan.places, 'place')}, {images}. {OUTCOMES[plan.outcome]}", "INFO")
+        draw_message(column, f"{format_count(plan.places, 'place')}, {images}. {OUTCOMES[plan.current_outcome]}", "INFO")
         column.prop(plan, "method")
         if plan.method != "original":
             column.prop(plan, "error_factor")

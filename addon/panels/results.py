@@ -1,12 +1,14 @@
-"""The latest result at the end of the panel of each tool: one sentence, and a button for the others."""
+"""The latest result at the end of the panel of each tool: its first sentences, and a button for the others."""
 
 from collections.abc import Sequence
 
 import bpy
 
+from ..core.messages import first_sentences, split_sentences
 from ..operators import documentation, long_work, results
 from .sidebar import ToolPanel, draw_message
 
+PANEL_CHARS = 180  # Of the sentences on the panel, about six lines.
 DETAILS_WIDTH = 520  # pixels at scale 1
 DETAILS_CHARS = 84  # per line of this width
 OTHER_PANELS = ("FARFIELD_PT_unwrap_uv_editor",)  # for tools that have one in two editors
@@ -41,14 +43,17 @@ def draw_details(layout: bpy.types.UILayout, sentences: Sequence[str], label: st
 
 
 def draw_result(panel: ToolPanel, context: bpy.types.Context) -> None:
-    """Draw the first sentence of the latest result, and the button if there are more."""
+    """Draw the first sentences of the latest result, and the button if there are more."""
     sentences = results.read_result(context.scene, panel.page)
     if not sentences or long_work.current_run() is not None:
         return
     column = panel.layout.box().column()
-    draw_message(column, sentences[0], "CHECKMARK")
-    if len(sentences) > 1:
-        draw_details(column, sentences, f"Details ({len(sentences) - 1:,} more)")
+    shown = split_sentences(first_sentences(" ".join(sentences), PANEL_CHARS))
+    for index, sentence in enumerate(shown):
+        draw_message(column, sentence, "BLANK1" if index else "CHECKMARK")
+    others = len(sentences) - len(shown)
+    if others:
+        draw_details(column, sentences, f"Details ({others:,} more)")
 
 
 def panel_types() -> list[type[bpy.types.Panel]]:

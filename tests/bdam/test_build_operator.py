@@ -7,6 +7,7 @@ from PIL import Image
 
 from farfield.addon.bridge.bdam.objects import SceneTerrain
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
+from farfield.addon.operators.results import read_result
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 SETTINGS = {"patch_size": "16", "executor": "serial", "cell_size": 10.0}
@@ -86,10 +87,14 @@ def test_build_loads_the_terrain_and_names_holes(tmp_path, capfd):
     heights[4:8, 4:8] = np.nan
     np.save(tmp_path / "a.npy", heights)
     arguments = {"sources": [{"name": str(tmp_path / "a.npy")}], "store": str(tmp_path / "store"), **SETTINGS}
+    bpy.ops.object.camera_add()
+    bpy.context.scene.camera, bpy.context.object.data.clip_end = bpy.context.object, 10.0
     assert bpy.ops.farfield.bdam_build(**arguments, load=True) == {"FINISHED"}
     (terrain,) = SceneTerrain.in_scene(bpy.context.scene)
     assert terrain.folder == tmp_path / "store" and terrain.figures.triangles > 100 and terrain.tiles()
-    assert "1.5% of the heights are unknown: they are holes, unless Fill Holes is on." in capfd.readouterr().out
+    holes, camera_range, *others = read_result(bpy.context.scene, "bdam")
+    assert holes == "1.5% of the heights are unknown: they are holes, unless Fill Holes is on."
+    assert "shows nothing beyond 10 m; raise Clip End" in camera_range and any(" patches, " in sentence for sentence in others)
     bpy.ops.farfield.bdam_remove()
     bpy.ops.farfield.bdam_build(**arguments, fill_holes=True)
     assert "1.5% of the heights are unknown and were filled." in capfd.readouterr().out

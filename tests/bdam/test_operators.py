@@ -12,6 +12,7 @@ from farfield.addon.core.bdam.store.structure import read_structure, write_struc
 from farfield.addon.operators import follow_handlers, following, view_following
 from farfield.addon.operators.bdam.operators import TOOL
 from farfield.addon.operators.engine_cache import cache
+from farfield.addon.operators.results import read_result
 from small_terrain_stores import build_store, hills
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
@@ -288,7 +289,8 @@ def test_edit_mode_disables_the_operators(folder, camera):
 
 def test_remove_leaves_the_store_and_other_terrains(folder, camera):
     first, second = load(folder), load(folder)
-    bpy.context.view_layer.objects.active = first.root
+    name, bpy.context.view_layer.objects.active = first.name, first.root
     assert bpy.ops.farfield.bdam_remove() == {"FINISHED"}
+    assert read_result(bpy.context.scene, "bdam") == [f'"{name}" was removed.']
     assert SceneTerrain.in_scene(bpy.context.scene) == [second] and len(second.tiles()) == second.figures.tiles
     assert (folder / "structure.bdam").exists()

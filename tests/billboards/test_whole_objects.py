@@ -173,6 +173,13 @@ class TestHouse:
         bpy.ops.farfield.billboards_show()
         assert [is_hidden(item) for item in (*house, cloud.levels[0])] == [True] * 5 + [False] * 2
 
+    def test_all_originals_are_selected_when_they_are_shown(self, house):
+        cloud = combine()
+        select(cloud.levels[0])
+        bpy.ops.farfield.billboards_show(show="SOURCE")
+        assert set(bpy.context.selected_objects) == set(cloud.sources) == set(house)
+        assert bpy.context.active_object == cloud.sources[0]
+
     def test_undo_takes_one_step(self, house):
         bpy.context.preferences.edit.use_global_undo = True
         bpy.ops.ed.undo_push(message="House")

@@ -20,6 +20,7 @@ from farfield.addon.core.btf.reflectance.disc_lights import disc_radius
 from farfield.addon.core.btf.settings import BtfSettings
 from farfield.addon.core.geometry.directions import DirectionGrid
 from farfield.addon.operators.btf.estimates import EstimateCache
+from farfield.addon.operators.results import read_result
 from lib import scene_files
 from lib.studio import bounding_sphere, open_studio
 
@@ -165,6 +166,7 @@ def test_a_quick_bake_of_an_emissive_ball(cloud):
             np.testing.assert_allclose(baked[inside][:, :3].mean(axis=0), [0.1, 0.2, 0.5], rtol=0.05)
         assert baked[inside][:, :3].mean(axis=0) == pytest.approx(source[inside][:, :3].mean(axis=0), rel=0.2)
     assert bpy.ops.farfield.btf_restore_pbr() == {"FINISHED"}
+    assert read_result(bpy.context.scene, "btf")[0].endswith("has its PBR materials again.")
     assert level.data.materials[0].name == pbr_name
     assert len(level.animation_data.drivers) == 0
     assert not [key for key in tuple(level.keys()) if key.startswith(("farfield_sun", "farfield_ambient"))]

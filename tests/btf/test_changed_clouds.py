@@ -31,6 +31,7 @@ from farfield.addon.bridge.btf.materials.emission_material import AMBIENT, sun_c
 from farfield.addon.core.errors import GeometryError
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.operators.btf.job import BakeJob
+from farfield.addon.operators.btf.operators import disabled_reason
 from lib import scene_files
 
 BAKE = {**SMALL, "executor": "serial"}
@@ -341,6 +342,13 @@ class TestLinkedClouds:
         for operator in (bpy.ops.farfield.btf_link_suns, bpy.ops.farfield.btf_restore_pbr):
             assert not operator.poll()
         assert bpy.ops.farfield.btf_export.poll()
+
+
+def test_an_ordinary_mesh_needs_a_cloud_first(cloud):
+    bpy.ops.mesh.primitive_cube_add()
+    assert disabled_reason(bpy.context) == "Build a billboard cloud first, or select one or its original"
+    bpy.context.view_layer.objects.active = cloud.levels[0]
+    assert disabled_reason(bpy.context) == ""
 
 
 def test_a_cloud_without_drawn_faces_is_of_an_older_version(cloud, tmp_path):

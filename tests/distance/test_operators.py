@@ -17,10 +17,11 @@ from farfield.addon.core.distance.settings import DistanceSettings
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.json_values import parse_json
 from farfield.addon.operators.distance import build as distance_build
-from farfield.addon.operators.distance.analysis import Plan, describe_weight
+from farfield.addon.operators.distance.analysis import OUTCOMES, Plan, describe_weight
 from farfield.addon.operators.distance.job import prepare
 from farfield.addon.operators.distance.measuring import prepare as prepare_measurement
 from farfield.addon.operators.job_run import run_job
+from farfield.addon.operators.results import read_result
 from textured_scenes import textured_ball
 
 pytestmark = pytest.mark.usefixtures("empty_scene", "few_samples", "quick_levels")
@@ -68,6 +69,7 @@ def test_perceptual_levels_of_an_object_and_its_linked_duplicate(camera):
     assert fading.data == ball.data and fading.material_slots[0].material != ball.material_slots[0].material
     assert bpy.ops.farfield.distance_remove() == {"FINISHED"}
     assert describe_file() == before
+    assert read_result(bpy.context.scene, "distance") == ["Objects that no longer show levels by distance: 2."]
 
 
 def test_an_object_that_is_light_when_decimated_gets_neither_perceptual_levels_nor_a_cloud(camera, monkeypatch):
@@ -312,6 +314,8 @@ def test_the_analysis_lists_the_heaviest_first(camera):
     diagonal = 0.5 * 3.0**0.5
     assert plans[1].pixels == pytest.approx(1000.0 * diagonal / 3.0, rel=1e-3), "1,000 pixels are 1 long at a distance of 1"
     plans[0].method, plans[1].error_factor = "original", 2.0
+    reasons = [OUTCOMES[plan.current_outcome] for plan in plans]
+    assert reasons[0].endswith("method is Original") and reasons[1].endswith("than Min Triangles")
     ball.hide_render = True
     bpy.ops.farfield.distance_analyze()
     assert [(plan.name, plan.error_factor) for plan in plans] == [("Box", 2.0)], "choices stay"

@@ -13,6 +13,7 @@ from session import (
     create_tree,
     current_job,
     level_names,
+    module,
     open_panel_alone,
     results,
     save_screenshot,
@@ -55,6 +56,7 @@ def session() -> Iterator[float]:
     yield 3.0
     results["levels"] = level_names()
     save_screenshot("4-built")
+    results["sentences"] = module("addon.operators.results").read_result(bpy.context.scene, "billboards")
     results["built"] = scene_state()
 
     results["visible"] = {"built": visible_objects()}

@@ -12,6 +12,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not add
 from session import UserInput, module, open_panel_alone, results, save_screenshot, start_session, wait_for_job
 
 PRESET = "Floating Islands"
+drawn: list[str] = []  # Terrains that the panel has shown, the latest last.
 DETAILS = (
     'Built "Hélm 頭" (860, 665, 575 triangles). Emission of the material "Visor" is left out. '
     'The finest level is no lighter than the original: show the original instead. "Strap" was skipped: it has no faces.'
@@ -40,6 +41,23 @@ def choose_by_picture(user: UserInput) -> Iterator[float]:
         user.press("LEFTMOUSE", x, y - down)
         yield 2.0
     yield from close_menu(user)
+
+
+def choose_by_name(user: UserInput) -> Iterator[float]:
+    """Open the menu of the presets of terrains, and click the button "Canyon" in it. The menu stays open."""
+    yield from open_menu(user, "clipbox")
+    viewport = user.region("WINDOW")
+    x, y = viewport.x + viewport.width // 2, viewport.y + viewport.height // 2 - 193
+    user.move(x, y)
+    yield 1.0
+    user.press("LEFTMOUSE", x, y)
+    yield 2.0
+    save_screenshot("4-by-name")
+
+
+def watch_panel(panel: bpy.types.Panel, context: bpy.types.Context) -> None:
+    """Record which terrain the panel shows."""
+    drawn.append(context.scene.farfield_clipbox.terrain)
 
 
 def close_menu(user: UserInput) -> Iterator[float]:
@@ -71,6 +89,12 @@ def session() -> Iterator[float]:
     results["undone"] = bpy.context.scene.farfield_clipbox.terrain
     yield from user.press_undo(redo=True)
     results["redone"] = bpy.context.scene.farfield_clipbox.terrain
+
+    bpy.types.FARFIELD_PT_clipbox.append(watch_panel)
+    yield from choose_by_name(user)
+    results["by_name"] = [bpy.context.scene.farfield_clipbox.terrain, drawn[-1] if drawn else ""]
+    yield from close_menu(user)
+    yield from user.press_undo()
 
     yield from choose_by_picture(user)
     results["by_picture"] = {

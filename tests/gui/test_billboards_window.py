@@ -35,6 +35,10 @@ def test_the_finished_job_creates_a_cloud_with_levels(results):
     assert results["levels"] == ["Tree Cloud L0", "Tree Cloud L1", "Tree Cloud L2"]
 
 
+def test_the_message_says_how_to_look_at_the_cloud(results):
+    assert results["sentences"][0].startswith("Built ") and "Material Preview" in results["sentences"][1]
+
+
 def test_one_undo_reverts_show_original(results):
     assert "Tree" not in results["visible"]["built"] and "Tree Cloud L0" in results["visible"]["built"]
     assert results["visible"]["original"] == ["Tree"]

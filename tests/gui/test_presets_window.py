@@ -22,6 +22,10 @@ def test_a_preset_is_one_undo_step(results):
     assert (results["applied"], results["undone"], results["redone"]) == ("islands", "cascades", "islands")
 
 
+def test_the_panel_shows_a_preset_while_the_menu_is_open(results):
+    assert results["by_name"] == ["formula", "formula"]
+
+
 def test_a_preset_is_chosen_by_its_picture(results):
     assert results["by_picture"] == {"terrain": "spheres", "name": "Asteroids"} and results["by_picture_undone"] == "islands"
 

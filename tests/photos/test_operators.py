@@ -16,7 +16,8 @@ from farfield.addon.core.photos.merging import merge
 from farfield.addon.core.photos.previews import draw_overlay
 from farfield.addon.core.photos.settings import PhotosSettings
 from farfield.addon.core.unwrap.overlaps import count_overlaps
-from farfield.addon.operators.photos.sources import find_cameras
+from farfield.addon.operators.photos.previews import OverlayJob
+from farfield.addon.operators.photos.sources import find_cameras, open_photographs, read_targets
 from image_data import write_image
 from photo_scenes import SIZE, camera_at, grid, photograph, ring, smooth_texture
 
@@ -214,6 +215,18 @@ class TestOverlays:
         assert bpy.ops.farfield.photos_draw_overlays() == {"FINISHED"}
         assert bpy.data.images["0.png Overlay"] == own
         assert len(bpy.data.images["0.png Overlay.001"].pixels) > 16
+
+    def test_a_cancelled_job_leaves_only_the_earlier_overlays(self, photographs):
+        add_mesh()
+        assert bpy.ops.farfield.photos_draw_overlays() == {"FINISHED"}
+        before = {image.name: image.session_uid for image in bpy.data.images}
+        _, instances, _ = read_targets(bpy.context)
+        job = OverlayJob(instances, open_photographs(bpy.context))
+        steps = job.scene_steps(run_to_end(job.core_steps()))
+        next(steps), next(steps)
+        assert len(bpy.data.images) == len(before) + 1
+        steps.close()
+        assert {image.name: image.session_uid for image in bpy.data.images} == before
 
 
 class TestMerge:

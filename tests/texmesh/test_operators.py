@@ -13,6 +13,7 @@ from farfield.addon.core.messages import first_sentences
 from farfield.addon.core.texmesh import TexmeshSettings
 from farfield.addon.core.texmesh.settings import SceneSettings
 from farfield.addon.operators.job_run import run_job
+from farfield.addon.operators.results import read_result
 from farfield.addon.operators.texmesh import preview
 from farfield.addon.operators.texmesh.job import prepare_levels
 from textured_scenes import textured_ball
@@ -167,6 +168,7 @@ def test_levels_are_removed_with_their_data(ball):
     assert bpy.ops.farfield.texmesh_remove() == {"FINISHED"}
     assert {kind: len(getattr(bpy.data, kind)) for kind in before} == before
     assert not ball.hide_render and bpy.context.view_layer.objects.active == ball
+    assert read_result(bpy.context.scene, "texmesh") == ["Removed the levels of 1 object."]
 
 
 def test_levels_are_made_again_in_place_of_earlier_ones(ball):

@@ -160,13 +160,18 @@ class SceneCloud(LodSet):
         self.hide_sources()
 
     def activate_visible(self, context: bpy.types.Context) -> None:
-        """If the active object belongs to the cloud and is hidden, make a visible object of the cloud active: the panel depends on it."""
+        """If the active object belongs to the cloud and is hidden, make a visible object of the cloud active: the panel depends on it.
+
+        If it is an original, the others are selected as well: the cloud stands for all of them.
+        """
         context.view_layer.update()
         active = context.view_layer.objects.active
         candidates = [*self.levels, *self.sources]
         visible = [item for item in candidates if meshes.is_in_view_layer(item, context.view_layer) and item.visible_get()]
         if active in candidates and active not in visible and visible:
             _activate(visible[0], context.view_layer)
+            for item in visible if visible[0] in self.sources else ():
+                item.select_set(True, view_layer=context.view_layer)
 
     def activate(self, context: bpy.types.Context) -> None:
         """Make the finest level active, if it is in the view layer."""

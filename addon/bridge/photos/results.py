@@ -24,16 +24,20 @@ MAPS = {
 
 
 def create_overlay_image(name: str, colors: np.ndarray) -> bpy.types.Image:
-    """Create an 8-bit image of sRGB-encoded `colors` (H, W, 3) that files keep, in place of an earlier overlay with this name."""
-    former = bpy.data.images.get(name)
+    """Create an 8-bit image of sRGB-encoded `colors` (H, W, 3) that files keep. If the name is taken, it has a number."""
     image = create_image(name, _to_pixels(colors), is_data=False)
     image[OVERLAY_PROPERTY] = True
-    if former is not None and OVERLAY_PROPERTY in former and former.library is None:
+    image.use_fake_user = True
+    return image
+
+
+def replace_overlay_image(name: str, image: bpy.types.Image) -> None:
+    """Let `image` take the place of an earlier overlay with this name, if there is one."""
+    former = bpy.data.images.get(name)
+    if former is not None and former != image and OVERLAY_PROPERTY in former and former.library is None:
         former.user_remap(image)
         bpy.data.images.remove(former)
         image.name = name
-    image.use_fake_user = True
-    return image
 
 
 def assign_texture(objects: list[bpy.types.Object], image: bpy.types.Image, name: str, *, has_alpha: bool = False) -> bpy.types.Material:

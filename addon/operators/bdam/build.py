@@ -166,11 +166,11 @@ class BuildJob:
         yield Progress(0.0, "Built")
         size = f"{core_result.columns:,} by {core_result.rows:,} heights"
         message = f'"{self.store.name}": {size} in {core_result.patches:,} patches, {core_result.bytes / 1e6:,.1f} MB.'
-        sentences = [message, describe_holes(core_result, self.settings)]
+        sentences = [describe_holes(core_result, self.settings)]  # The panel shows the first sentences: what the user has to know.
         if self.directory:
             scene, area = find_viewport(self.area_address)
             sentences.append((yield from run_job(prepare_load(scene, self.directory, self.view_settings, area))))
-        return join_sentences([*sentences, *core_result.warnings])
+        return join_sentences([*sentences, message, *core_result.warnings])
 
 
 def describe_holes(report: BuildReport, settings: BdamSettings) -> str:

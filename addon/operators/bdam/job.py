@@ -71,8 +71,9 @@ class ShowJob:
         message = f'"{self.terrain.name}": {core_result.figures.triangles:,} triangles in {core_result.figures.tiles} tiles.'
         low, high = self.engine.bounds
         size = float(np.linalg.norm(high - low))
-        hints = [describe_camera_range(bpy.context.scene, size), describe_solid_view()] if is_new else []
-        return join_sentences([message, *core_result.warnings[:1], *hints])
+        if not is_new:
+            return join_sentences([message, *core_result.warnings[:1]])
+        return join_sentences([describe_camera_range(bpy.context.scene, size), message, *core_result.warnings[:1], describe_solid_view()])
 
 
 def prepare_load(

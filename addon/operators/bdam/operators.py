@@ -11,12 +11,13 @@ from ...core.bdam.view.engine import BdamEngine
 from ...core.errors import FileError
 from .. import follow_handlers, properties, start_job
 from ..engine_cache import cache
-from ..error_reports import report_message, reports_errors
+from ..error_reports import reports_errors
 from ..file_browser import open_file_browser, remember_folder
 from ..follow_tools import FollowTool
 from ..following import disabled_reason
 from ..long_work import poll_with_reason
 from ..properties import absolute_path
+from ..results import show_result
 from ..view_following import ActiveTerrainOperator, FollowViewOperator, context_viewport, view_of_area
 from .job import ShowJob, prepare_load, prepare_update
 
@@ -112,7 +113,7 @@ class FARFIELD_OT_bdam_remove(ActiveTerrainOperator, bpy.types.Operator):
         name = terrain.name
         terrain_objects.remove(terrain)
         cache.evict_missing()
-        report_message(self, f'"{name}" was removed.')
+        show_result(self, context.scene, f'"{name}" was removed.')
         return {"FINISHED"}
 
 

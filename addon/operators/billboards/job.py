@@ -16,6 +16,7 @@ from ...bridge.imaging import images
 from ...bridge.objects import find_by_uid, instances_lights
 from ...bridge.rendering import render_properties
 from ...bridge.source_links import store_sources
+from ...bridge.viewers import describe_solid_cloud
 from ...core.billboards.build import build_cloud
 from ...core.billboards.cloud import Cloud
 from ...core.billboards.comparison import LevelComparison, describe_comparison
@@ -199,7 +200,8 @@ class BillboardJob:
         skipped = f" Skipped: {'; '.join(self.skipped)}." if self.skipped else ""
         read = {(instance.name, id(instance.mesh)): instance for source in self.sources for instance in source.instances}.values()
         rounded = "".join(f" {text}" for item in read if (text := describe_coarseness(item.mesh.vertices, f'"{item.name}"', "it")))
-        return f"Built {', '.join(figures)}.{notes}{hidden}{linked}{rounded}{skipped}"
+        view = f" {text}" if self.settings.textures and (text := describe_solid_cloud()) else ""
+        return f"Built {', '.join(figures)}.{view}{notes}{hidden}{linked}{rounded}{skipped}"
 
 
 def _describe_levels(cloud: Cloud) -> str:

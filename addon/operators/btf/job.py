@@ -27,6 +27,7 @@ from ...bridge.imaging import images
 from ...bridge.objects import find_by_uid
 from ...bridge.shading.shared_parameters import Value, read_shared_parameters
 from ...bridge.snapshots import may_run_python_drivers
+from ...bridge.viewers import describe_solid_cloud
 from ...core.billboards.texels import QuadPolygons, Texels
 from ...core.btf.capture.capture_run import CaptureRun, render_missing_views
 from ...core.btf.capture.capture_spec import LevelCaptureSpec
@@ -44,6 +45,7 @@ from ...core.jobs import heartbeat
 from ...core.jobs.dispatch import Shard
 from ...core.jobs.executors import Executor, LocalExecutor, parse_executor
 from ...core.jobs.progress import StageClock, Steps, subprogress
+from ...core.messages import join_sentences
 from . import estimates
 
 CAPTURE_FRACTION = 0.8  # End of the capture in the progress bar.
@@ -158,7 +160,8 @@ class BakeJob:
             self.temporary_folder.cleanup()
         elif not self.keep_finished_views and not heartbeat.is_alive(self.folder):  # Another Blender may have started the same bake.
             shutil.rmtree(self.folder, ignore_errors=True)
-        return f'Baked "{self.collection}": {sum(figure["renders"] for figure in self.figures):,} renders.'
+        message = f'Baked "{self.collection}": {sum(figure["renders"] for figure in self.figures):,} renders.'
+        return join_sentences([message, describe_solid_cloud()])
 
     def _capture(self) -> Steps[int]:
         """Let worker processes capture missing views; return their number."""

@@ -12,6 +12,7 @@ from ...core.btf.settings import BtfSettings
 from ...core.files.user_folders import open_private_folder
 from .. import long_work, properties, start_job
 from ..error_reports import report_message, reports_errors
+from ..results import show_result
 from ..user_cache import cache_folder
 from . import estimates
 from .job import BakeJob, prepare_bake
@@ -48,7 +49,7 @@ class FARFIELD_PG_btf(bpy.types.PropertyGroup):
 
 def disabled_reason(context: bpy.types.Context) -> str:
     """Return why nothing can be baked now, or an empty string."""
-    no_cloud = "" if active_cloud(context) is not None else "Select a billboard cloud or its original"
+    no_cloud = "" if active_cloud(context) is not None else "Build a billboard cloud first, or select one or its original"
     return long_work.running_job_message() or no_cloud or linked_reason(context)
 
 
@@ -117,8 +118,10 @@ class FARFIELD_OT_btf_restore_pbr(RequiresBakedCloud, bpy.types.Operator):
     @reports_errors
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Restore the PBR materials of all levels."""
-        for level in active_cloud(context).levels:
+        cloud = active_cloud(context)
+        for level in cloud.levels:
             btf_clouds.restore_pbr_material(level)
+        show_result(self, context.scene, f'"{cloud.collection.name}" has its PBR materials again.')
         return {"FINISHED"}
 
 

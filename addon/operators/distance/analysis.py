@@ -18,7 +18,12 @@ from ...core.distance.settings import METHODS, AssetOptions, DistanceSettings
 
 # Triangles of a scene that is light: at all places together for viewports and EEVEE, and of each mesh once for Cycles.
 LIGHT_TRIANGLES, LIGHT_UNIQUE_TRIANGLES = 2_000_000, 500_000
-OUTCOMES = {"build": "Gets levels", "ready": "Has levels", "stays": "Stays as it is"}
+OUTCOMES = {
+    "build": "Gets levels",
+    "ready": "Has levels",
+    "stays": "Stays as it is: fewer triangles than Min Triangles",
+    "original": "Stays as it is: its method is Original",
+}
 
 
 @dataclass(frozen=True)
@@ -33,7 +38,7 @@ class Plan:
         image_bytes: memory of the images of its materials.
         nearest: smallest distance of a place from the active camera in any frame that was looked at; 0 without a camera.
         pixels: largest extent in an image, in pixels; 0 where no frame shows it.
-        outcome: one of `OUTCOMES`.
+        outcome: one of `OUTCOMES` but "original", which the method of a row decides.
     """
 
     source: bpy.types.ID
@@ -76,6 +81,11 @@ class FARFIELD_PG_distance_plan(bpy.types.PropertyGroup):
         ),
     }
 
+    @property
+    def current_outcome(self) -> str:
+        """One of `OUTCOMES`, by the analysis and the choice of the user since then."""
+        return "original" if self.method == "original" and self.outcome != "stays" else self.outcome
+
 
 def analyze(
     scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, objects: Sequence[bpy.types.Object], settings: DistanceSettings
@@ -98,7 +108,7 @@ def _outcome(
     asset: Asset, depsgraph: bpy.types.Depsgraph, settings: DistanceSettings, options: dict[int, AssetOptions], known: set[str]
 ) -> str:
     chosen = options.get(asset.source.session_uid, AssetOptions())
-    if asset.triangles < settings.min_triangles or chosen.method == "original":
+    if asset.triangles < settings.min_triangles:
         return "stays"
     return "ready" if fingerprint(asset, depsgraph, chosen.adjust(settings)) in known else "build"
 

@@ -8,6 +8,7 @@ from ...core.distance.settings import DistanceSettings
 from ...core.messages import format_count, join_sentences, list_first
 from .. import long_work, properties, start_job
 from ..error_reports import report_message, reports_errors
+from ..results import show_result
 from .analysis import FARFIELD_PG_distance_plan, analyze, describe_weight, store_plans
 from .job import DistanceJob, prepare
 from .measuring import MeasureJob
@@ -150,7 +151,7 @@ class FARFIELD_OT_distance_remove(LevelsOperator, bpy.types.Operator):
         detach(hosts)
         clean_up(scene)
         scene.farfield_distance.figures = ""
-        report_message(self, f"{format_count(count, 'object')} no longer show levels by distance.")
+        show_result(self, scene, f"Objects that no longer show levels by distance: {count:,}.")
         return {"FINISHED"}
 
 

@@ -1,6 +1,7 @@
 """Operators of the tool `photos` that show how cameras and mesh fit to each other before anything is merged: colors of the faces that
 photographs show, and the mesh drawn into the photographs."""
 
+from contextlib import ExitStack
 from dataclasses import dataclass
 
 import bpy
@@ -9,7 +10,7 @@ import numpy as np
 from ...bridge.geometry.meshes import SourceInstance, concatenate_in_world_space, read_instances
 from ...bridge.photos.coverage_overlay import overlay
 from ...bridge.photos.photo_images import PhotoSource
-from ...bridge.photos.results import create_overlay_image
+from ...bridge.photos.results import create_overlay_image, replace_overlay_image
 from ...core.errors import GeometryError
 from ...core.geometry.mesh import TriangleMesh
 from ...core.jobs.progress import Progress, Steps
@@ -112,12 +113,17 @@ class OverlayJob:
         return pictures
 
     def scene_steps(self, core_result: list[np.ndarray]) -> Steps[str]:
-        """Create an image for each photograph, in place of an earlier one."""
-        names = []
-        for index, (source, picture) in enumerate(zip(self.sources, core_result, strict=True)):
-            yield Progress(index / len(self.sources), "Creating images")
-            names.append(create_overlay_image(f"{source.camera.name}{SUFFIX}", picture).name)
-        return f'Drew {format_count(len(names), "overlay")}; open them in the Image Editor, for example "{names[0]}".'
+        """Create an image for each photograph, all of them or none, in place of earlier ones."""
+        names, images = [f"{source.camera.name}{SUFFIX}" for source in self.sources], []
+        with ExitStack() as undo:
+            for index, (name, picture) in enumerate(zip(names, core_result, strict=True)):
+                yield Progress(index / len(names), "Creating images")
+                images.append(create_overlay_image(name, picture))
+                undo.callback(bpy.data.images.remove, images[-1])
+            undo.pop_all()
+        for name, image in zip(names, images, strict=True):
+            replace_overlay_image(name, image)
+        return f'Drew {format_count(len(images), "overlay")}; open them in the Image Editor, for example "{images[0].name}".'
 
 
 class FARFIELD_OT_photos_draw_overlays(start_job.StartJob, bpy.types.Operator):

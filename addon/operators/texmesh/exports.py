@@ -15,7 +15,7 @@ from ...core.texmesh.settings import ExportSettings
 from .. import long_work, properties
 from ..error_reports import reports_errors
 from ..file_browser import open_file_browser, remember_folder
-from ..results import report_result, store_result
+from ..results import show_result
 from .operators import NO_LEVELS, selected_level_sets
 
 SUFFIX = ".glb"
@@ -56,9 +56,7 @@ class FARFIELD_OT_texmesh_export(bpy.types.Operator):
         check_scene_outputs([Output("the file", path)] if self.one_file else level_outputs(path))
         paths, sentences = write_levels(selected_level_sets(context), path, properties.read(ExportSettings, self))
         remember_folder(self, context, path)
-        message = join_sentences([f"Saved {list_first(item.name for item in paths)}.", *sentences])
-        store_result(context.scene, "texmesh", message)
-        report_result(self, message)
+        show_result(self, context.scene, join_sentences([f"Saved {list_first(item.name for item in paths)}.", *sentences]))
         return {"FINISHED"}
 
 

@@ -11,6 +11,7 @@ from ...core.messages import format_count
 from ...core.texmesh.settings import AnalysisSettings, SceneSettings, TexmeshSettings
 from .. import long_work, properties, start_job
 from ..error_reports import report_message, reports_errors
+from ..results import show_result
 from ..view_following import viewport_address
 from . import preview
 from .job import AnalysisJob, LevelsJob, prepare_analysis, prepare_levels
@@ -209,7 +210,7 @@ class FARFIELD_OT_texmesh_remove(LevelsOperator, bpy.types.Operator):
                 if source.name in context.view_layer.objects and source.visible_get():
                     context.view_layer.objects.active = source
                     source.select_set(True)
-        report_message(self, f"Removed the levels of {format_count(len(editable), 'object')}.")
+        show_result(self, context.scene, f"Removed the levels of {format_count(len(editable), 'object')}.")
         return {"FINISHED"}
 
 
