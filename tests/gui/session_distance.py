@@ -59,6 +59,8 @@ def duplicate() -> bpy.types.Object:
 def session() -> Iterator[float]:
     """Run the session; yields pauses in seconds."""
     user = UserInput()
+    limits = module("addon.core.distance.levels")
+    limits.FEW_TRIANGLES = limits.MANY_TRIANGLES = 0  # So that perceptual levels are made, which take long enough to be cancelled.
     bpy.data.objects.remove(bpy.data.objects["Cube"])
     create_balls()
     settings = bpy.context.scene.farfield_distance
