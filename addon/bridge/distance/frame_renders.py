@@ -32,7 +32,7 @@ from .views import choose_frames
 FRAMES = 3
 MAX_SAMPLES = 32
 MAX_TRIALS = RENDER_STEPS + 4  # Renders of a search at most: of originals, with a single sample, and with both limits of the error.
-MIN_TRIAL_SAMPLES, TRIAL_FRACTION = 4, 0.125  # Of trial renders: a part of those of the scene.
+MIN_TRIAL_SAMPLES, TRIAL_FRACTION = 8, 0.125  # Of trial renders: a part of those of the scene.
 MIN_SECONDS = 0.2  # between two reports of progress
 MEMORY = re.compile(r"Mem:\s*([\d.]+)([KMGT])")  # in the statistics of a render, in binary units
 SAMPLE = re.compile(r"Sample (\d+)/(\d+)")
