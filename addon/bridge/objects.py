@@ -81,3 +81,9 @@ def instances_lights(objects: Sequence[bpy.types.Object]) -> bool:
     """Return whether any of `objects` is an instance of a collection with lights, which would light everything near it."""
     collections = [item.instance_collection for item in objects if item.instance_collection is not None]
     return any(item.type == "LIGHT" for collection in collections for item in collection.all_objects)
+
+
+def link_beside(scene: bpy.types.Scene, item: bpy.types.Object, new: bpy.types.Object) -> None:
+    """Link a new object to the first collection of `item` that is in a scene."""
+    in_scene = {scene.collection, *scene.collection.children_recursive}
+    next(collection for collection in item.users_collection if collection in in_scene).objects.link(new)

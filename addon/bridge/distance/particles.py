@@ -12,13 +12,13 @@ import numpy as np
 
 from ..blender import remove_unused_data
 from ..lod_sets import KIND
-from ..objects import world_matrix
+from ..objects import link_beside, world_matrix
 from .level_switch import TREE, GeometryBuilder, level_modifiers
 
 SCATTER = "distance_particles"  # The KIND of objects that instance what particles did.
 EMITTER = "farfield_emitter"  # Property of such an object: the object with the particle system.
-SYSTEM = "farfield_particle_system"  # The same: name of the particle system, and whether viewport and render showed it.
-SHOWN = "farfield_particles_shown"
+SYSTEM = "farfield_particle_system"  # The same: name of the particle system.
+SHOWN = "farfield_particles_shown"  # The same: whether viewport and render showed it.
 TRANSFORM, SOURCE = "farfield_transform", "farfield_source"  # Attributes of its points: relative to the emitter; number of the object.
 NAME = "Farfield Particles"
 
@@ -122,8 +122,7 @@ def _add_host(scene: bpy.types.Scene, emitter: bpy.types.Object, name: str) -> b
     """Add an object at the place of the emitter, which it follows."""
     host = bpy.data.objects.new(f"{emitter.name} {name}", bpy.data.meshes.new(f"{emitter.name} {name}"))
     host[KIND], host[EMITTER], host[SYSTEM] = SCATTER, emitter, name
-    in_scene = {scene.collection, *scene.collection.children_recursive}
-    next(collection for collection in emitter.users_collection if collection in in_scene).objects.link(host)
+    link_beside(scene, emitter, host)
     host.parent, host.hide_select = emitter, True
     host.modifiers.new(NAME, "NODES").node_group = bpy.data.node_groups.new(f"{NAME}: {host.name}", TREE)
     return host
