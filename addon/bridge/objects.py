@@ -7,6 +7,7 @@ import bpy
 import mathutils
 
 from .geometry import meshes
+from .geometry.mesh_pool import is_local
 
 
 def find_by_uid(data_blocks: Iterable[bpy.types.ID], session_uid: int) -> bpy.types.ID | None:
@@ -83,7 +84,7 @@ def instances_lights(objects: Sequence[bpy.types.Object]) -> bool:
     return any(item.type == "LIGHT" for collection in collections for item in collection.all_objects)
 
 
-def link_beside(scene: bpy.types.Scene, item: bpy.types.Object, new: bpy.types.Object) -> None:
-    """Link a new object to the first collection of `item` that is in a scene."""
-    in_scene = {scene.collection, *scene.collection.children_recursive}
-    next(collection for collection in item.users_collection if collection in in_scene).objects.link(new)
+def parent_collection(source: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Collection:
+    """Return the first local collection of the scene with the source, or that of the scene."""
+    within = {scene.collection, *scene.collection.children_recursive}
+    return next((collection for collection in source.users_collection if collection in within and is_local(collection)), scene.collection)

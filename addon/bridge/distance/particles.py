@@ -12,7 +12,7 @@ import numpy as np
 
 from ..blender import remove_unused_data
 from ..lod_sets import KIND
-from ..objects import link_beside, world_matrix
+from ..objects import parent_collection, world_matrix
 from .level_switch import TREE, GeometryBuilder, level_modifiers
 
 SCATTER = "distance_particles"  # The KIND of objects that instance what particles did.
@@ -122,7 +122,7 @@ def _add_host(scene: bpy.types.Scene, emitter: bpy.types.Object, name: str) -> b
     """Add an object at the place of the emitter, which it follows."""
     host = bpy.data.objects.new(f"{emitter.name} {name}", bpy.data.meshes.new(f"{emitter.name} {name}"))
     host[KIND], host[EMITTER], host[SYSTEM] = SCATTER, emitter, name
-    link_beside(scene, emitter, host)
+    parent_collection(emitter, scene).objects.link(host)
     host.parent, host.hide_select = emitter, True
     host.modifiers.new(NAME, "NODES").node_group = bpy.data.node_groups.new(f"{NAME}: {host.name}", TREE)
     return host

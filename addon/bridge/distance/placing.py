@@ -8,7 +8,7 @@ import bpy
 from ...compat import read_node_input, set_node_input
 from ..blender import remove_unused_data
 from ..lod_sets import KIND
-from ..objects import link_beside
+from ..objects import parent_collection
 from ..rendering.render_properties import ensure_transparent_bounces, estimate_transparent_bounces
 from ..shading.node_builder import NodeBuilder, ensure_shared_group
 from .assets import Asset
@@ -61,7 +61,7 @@ def _add_placements(asset: Asset, chain: Chain, scene: bpy.types.Scene, ranges: 
     places = bpy.data.collections.new(f"{asset.name} Places")
     host = bpy.data.objects.new(f"{asset.name} Levels", bpy.data.meshes.new(f"{asset.name} Levels"))
     places[KIND], host[KIND], host[PLACES] = HOST, HOST, places
-    link_beside(scene, asset.empties[0], host)
+    parent_collection(asset.empties[0], scene).objects.link(host)
     host.hide_select = True
     for empty in asset.empties:
         places.objects.link(empty)

@@ -19,7 +19,7 @@ from ..geometry.mesh_arrays import count_triangles
 from ..geometry.mesh_pool import is_local
 from ..imaging.images import find_images
 from ..lod_sets import ERROR, KIND, NUMBER, LodSet, set_hidden
-from ..objects import world_matrix
+from ..objects import parent_collection, world_matrix
 from ..rendering import render_properties
 from ..rendering.render_properties import copy_render_properties
 from ..shading.solid_view import show_color_image
@@ -185,7 +185,7 @@ def add_level_set(
 
 def add_collections(source: bpy.types.Object, scene: bpy.types.Scene, labels: Sequence[str]) -> list[bpy.types.Collection]:
     """Return new collections for levels of a source, next to it; several are in one for all of them."""
-    parent = _parent_collection(source, scene)
+    parent = parent_collection(source, scene)
     if len(labels) > 1:
         group = bpy.data.collections.new(f"{source.name} Levels")
         group[KIND] = LEVEL
@@ -227,12 +227,6 @@ def _find_sharing(level: bpy.types.Object) -> list[bpy.types.Object]:
     if level.data.users < 2:
         return []
     return [item for item in bpy.data.objects if item.data == level.data and item != level]
-
-
-def _parent_collection(source: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Collection:
-    """Return the first local collection of the scene with the source, or that of the scene."""
-    within = {scene.collection, *scene.collection.children_recursive}
-    return next((collection for collection in source.users_collection if collection in within and is_local(collection)), scene.collection)
 
 
 def _copy_material(material: bpy.types.Material) -> bpy.types.Material:
