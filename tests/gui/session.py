@@ -26,6 +26,7 @@ from lib.window_session import wait_for_job as wait_for_job
 FOLDER = Path(sys.argv[sys.argv.index("--") + 1])
 LEAVES = 300
 START_TIMEOUT_SECONDS = 20.0
+WHEEL_STEPS = 8  # Half of a sidebar.
 
 results: dict = {"error": None}
 
@@ -100,21 +101,26 @@ class UserInput:
 
     def find_button(self, operator: str) -> Iterator[float | tuple[int, int]]:
         """Move the mouse down the sidebar until it is on the button of `operator`, first to where this was before; return the position of
-        the mouse."""
+        the mouse. If no visible button is it, scroll down, as a user would."""
         sidebar = self.region("UI")
         x = sidebar.x + sidebar.width // 2
-        self.move(sidebar.x - 200, sidebar.y + sidebar.height // 2)  # leave the sidebar, or the last pressed button stays active
-        yield 3 * POLL_SECONDS
+        heights = range(sidebar.y + sidebar.height - 10, sidebar.y, -9)
         known = [self._found[operator] + 1] if operator in self._found else []
-        for y in [*known, *range(sidebar.y + sidebar.height - 10, sidebar.y, -9)]:
-            self.move(x, y)
-            yield POLL_SECONDS
-            if self.is_on_button(operator):
-                self.move(x, y - 1)
-                yield 3 * POLL_SECONDS
+        for tried in ([*known, *heights], heights, heights):
+            self.move(sidebar.x - 200, sidebar.y + sidebar.height // 2)  # leave the sidebar, or the last pressed button stays active
+            yield 3 * POLL_SECONDS
+            for y in tried:
+                self.move(x, y)
+                yield POLL_SECONDS
                 if self.is_on_button(operator):
-                    self._found[operator] = y - 1
-                    return x, y - 1
+                    self.move(x, y - 1)
+                    yield 3 * POLL_SECONDS
+                    if self.is_on_button(operator):
+                        self._found[operator] = y - 1
+                        return x, y - 1
+            for _ in range(WHEEL_STEPS):
+                self.press("WHEELDOWNMOUSE", x, sidebar.y + sidebar.height // 2)
+            yield 3 * POLL_SECONDS
         raise AssertionError(f"the sidebar has no button for {operator}")
 
     def press_undo(self, redo: bool = False) -> Iterator[float]:
