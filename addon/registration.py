@@ -13,6 +13,7 @@ from .operators.clipbox import operators as clipbox_operators
 from .operators.distance import operators as distance_operators
 from .operators.distance import viewport as distance_viewport
 from .operators.packages import operators as packages_operators
+from .operators.packages import viewing as packages_viewing
 from .operators.photos import import_cameras as photos_import
 from .operators.photos import operators as photos_operators
 from .operators.photos import previews as photos_previews
@@ -67,6 +68,7 @@ MODULES = (
     texmesh_calibration,
     texmesh_answer_files,
     packages_operators,
+    packages_viewing,
     clipbox_operators,
     clipbox_convert,
     bdam_operators,

@@ -134,6 +134,7 @@ def draw_estimate(layout: bpy.types.UILayout, context: bpy.types.Context, group:
             (str(index), f"{level.triangles:,}", f"{level.mesh_triangles:,}", f"{level.quads:,}", format_megabytes(level.bytes))
             for index, level in enumerate(result.levels)
         ]
+        rows += [("",) * len(ESTIMATE_TITLES)] * (group.levels - len(rows))  # Other levels would cost too much; the height stays.
         draw_table(layout, ESTIMATE_TITLES, rows)
     elif cache.request(key):
         # Placeholders with the height of the coming table, so that the panel does not jump.

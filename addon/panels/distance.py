@@ -10,6 +10,7 @@ from ..core.distance.settings import DistanceSettings
 from ..core.json_values import parse_json
 from ..core.messages import format_bytes, format_count
 from ..core.settings import describe
+from ..operators import long_work
 from ..operators.distance.analysis import OUTCOMES
 from ..operators.distance.operators import (
     FARFIELD_OT_distance_analyze,
@@ -79,19 +80,21 @@ class FARFIELD_PT_distance(DistanceSettingsPanel, ToolPanel, bpy.types.Panel):
     page = "distance"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Draw the settings, the list of the latest analysis and the buttons. While a job runs, the progress bar replaces the buttons."""
-        layout = self.layout
+        """Draw the settings, the list of the latest analysis and the buttons. While a job runs, the progress bar replaces the large button
+        and the others are disabled: without them, the sidebar would scroll."""
         self.draw_settings(context)
-        if draw_progress_bar(layout, disabled_reason(context)):
-            return
+        layout, group = self.layout.column(), context.scene.farfield_distance
+        layout.enabled = long_work.current_run() is None
         if cameras.read_scene_camera(context.scene) is None:
             draw_message(layout, "Add a camera: levels depend on its distance", "INFO")
         layout.operator(FARFIELD_OT_distance_analyze.bl_idname, text="What Is Heavy?", icon="VIEWZOOM")
-        draw_plans(layout, context.scene.farfield_distance)
-        draw_button(layout, FARFIELD_OT_distance_build, "Make Distance-Ready", "MOD_DECIM")
+        draw_plans(layout, group)
+        if not draw_progress_bar(self.layout, disabled_reason(context)):
+            draw_button(layout, FARFIELD_OT_distance_build, "Make Distance-Ready", "MOD_DECIM")
         if has_levels(context.scene):
-            draw_figures(layout, context.scene.farfield_distance.figures)
-            column = layout.column(align=True)
+            draw_figures(self.layout, group.figures)
+            column = self.layout.column(align=True)
+            column.enabled = layout.enabled
             column.operator(FARFIELD_OT_distance_measure.bl_idname, text="Measure", icon="TIME")
             row = column.row(align=True)
             row.operator(

@@ -43,11 +43,13 @@ def draw_details(layout: bpy.types.UILayout, sentences: Sequence[str], label: st
 
 
 def draw_result(panel: ToolPanel, context: bpy.types.Context) -> None:
-    """Draw the first sentences of the latest result, and the button if there are more."""
+    """Draw the first sentences of the latest result, and the button if there are more. While a job runs they are disabled, and keep the
+    height of the panel."""
     sentences = results.read_result(context.scene, panel.page)
-    if not sentences or long_work.current_run() is not None:
+    if not sentences:
         return
     column = panel.layout.box().column()
+    column.enabled = long_work.current_run() is None
     shown = split_sentences(first_sentences(" ".join(sentences), PANEL_CHARS))
     for index, sentence in enumerate(shown):
         draw_message(column, sentence, "BLANK1" if index else "CHECKMARK")

@@ -1,12 +1,11 @@
 """A web server for one package, by default on this machine only.
 
-It sends the files that `package_files.open_package` has opened at its start, also in ranges, and nothing else. Pages of other servers may
+It sends the files that `served_files.open_package` has opened at its start, also in ranges, and nothing else. Pages of other servers may
 read them (CORS), so that a server can be a mirror, unless it is private: then it answers only to a name of this machine, so that no page
 that is open in the same browser can read the package. A client that sends or takes data too slowly is disconnected.
 """
 
 import asyncio
-import re
 import threading
 import time
 import webbrowser
@@ -27,16 +26,22 @@ environment.import_farfield()
 
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.files.file_access import error_reason
-from farfield.addon.core.packages.files import INDEX, find_version
+from farfield.addon.core.packages.files import find_version
+from farfield.addon.core.packages.served_files import (
+    HEADERS,
+    LOOPBACK,
+    OWN_NAMES,
+    PRIVATE_HEADERS,
+    PackageFile,
+    close_package,
+    open_package,
+    read_range,
+)
 from lib.connection_rate import ConnectionRate, Throttle
-from lib.package_files import PackageFile, close_package, open_package
 
-LOOPBACK = "127.0.0.1"
-SINGLE_RANGE = re.compile(r"bytes=[ \t]*(\d{0,18})-(\d{0,18})[ \t]*", re.IGNORECASE | re.ASCII)
 MAX_HEADER_BYTES = 16384
 READ_BUFFER_BYTES = 65536  # per connection
 WAIT_SECONDS = 0.2
-HEADERS = {"Referrer-Policy": "no-referrer", "X-Content-Type-Options": "nosniff"}
 IMMUTABLE = "max-age=31536000, immutable"  # The header of URLs that name their content.
 SHARED_HEADERS = HEADERS | {
     "Access-Control-Allow-Origin": "*",
@@ -47,8 +52,6 @@ SHARED_HEADERS = HEADERS | {
     "Cross-Origin-Resource-Policy": "cross-origin",
     "Timing-Allow-Origin": "*",
 }
-PRIVATE_HEADERS = HEADERS | {"Cross-Origin-Resource-Policy": "same-origin"}
-OWN_NAMES = (LOOPBACK, "localhost")
 
 
 @dataclass(frozen=True)
@@ -59,20 +62,6 @@ class ClientLimits:
     connections: int = 256
     idle_seconds: float = 30.0
     send_seconds: float = 30.0
-
-
-def read_range(header: str, size: int) -> tuple[int, int] | None:
-    """Return first byte and end of the range that a Range header asks of a file with `size` bytes; None for the whole file, which also
-    answers several ranges and headers that are not valid (RFC 9110, 14.2). The range is empty if the file has none of its bytes."""
-    match = SINGLE_RANGE.fullmatch(header)
-    if match is None or not (match[1] or match[2]):
-        return None
-    if not match[1]:
-        return max(size - int(match[2]), 0), size
-    first, last = int(match[1]), int(match[2]) if match[2] else size - 1
-    if match[2] and last < first:
-        return None
-    return min(first, size), min(last + 1, size)
 
 
 class PackageHandler(RequestHandler):
@@ -227,13 +216,11 @@ def run_server(
         close_package(files)
         reason = error_reason(error) if isinstance(error, OSError) else str(error)
         raise FileError(f"The server cannot use port {port} of {address} ({reason}); choose another port or address.") from error
-    paths = {f"/{name}": file for name, file in files.items()}
-    paths["/"] = files[INDEX]
     loop = asyncio.new_event_loop()
     stopping = asyncio.Event()
 
     async def run() -> None:
-        shared = {"files": paths, "throttle": Throttle(connection), "limits": limits or ClientLimits(), "is_private": is_private}
+        shared = {"files": files, "throttle": Throttle(connection), "limits": limits or ClientLimits(), "is_private": is_private}
         application = Application(default_handler_class=PackageHandler, default_handler_args=shared, log_function=lambda _handler: None)
         server = PackageHttpServer(application, shared["limits"])
         server.add_sockets(sockets)

@@ -2,6 +2,8 @@
 
 import json
 import shutil
+import urllib.request
+import webbrowser
 from pathlib import Path
 
 import bpy
@@ -48,6 +50,35 @@ def two_packages(extension, small_images, tmp_path_factory):
     assert bpy.ops.farfield.packages_export(folder=str(folder), mirrors=mirrors, **SMALL) == {"FINISHED"}
     assert (len(bpy.data.objects), len(bpy.data.meshes), len(bpy.data.images)) == before
     return folder
+
+
+class TestView:
+    """*View in Browser*."""
+
+    @pytest.fixture(autouse=True)
+    def opened(self, monkeypatch):
+        """The addresses that browsers were asked to open."""
+        urls = []
+        monkeypatch.setattr(webbrowser, "open", urls.append)
+        return urls
+
+    def test_the_package_that_was_exported_last_is_served_until_the_next_one(self, folder, opened):
+        ball = textured_ball(4, "Bäll")
+        ball.select_set(True)
+        with pytest.raises(RuntimeError, match="Export a package first"):
+            bpy.ops.farfield.packages_view()
+        assert bpy.ops.farfield.packages_export(folder=str(folder), **SMALL) == {"FINISHED"}
+        for _ in range(2):
+            assert bpy.ops.farfield.packages_view() == {"FINISHED"}
+        with urllib.request.urlopen(opened[1] + "manifest.json") as response:
+            assert json.load(response)["name"] == "Bäll"
+        with pytest.raises(OSError):
+            urllib.request.urlopen(opened[0])
+
+    def test_a_package_that_is_gone_is_reported(self, tmp_path):
+        bpy.context.scene.farfield_packages.exported = str(tmp_path / "gone")
+        with pytest.raises(RuntimeError, match="gone"):
+            bpy.ops.farfield.packages_view()
 
 
 @pytest.fixture(scope="module")

@@ -22,8 +22,10 @@ from small_packages import write_opaque_package
 
 from farfield.addon.core.errors import FileError, SettingsError
 from farfield.addon.core.packages.files import read_page
+from farfield.addon.core.packages.local_server import LocalServer
+from farfield.addon.core.packages.served_files import read_range
 from lib.connection_rate import ConnectionRate, parse_rate
-from lib.package_server import ClientLimits, read_range, run_server
+from lib.package_server import ClientLimits, run_server
 
 SECRET = b"canary in the coal mine"
 PATH_TRICKS = [
@@ -352,3 +354,42 @@ def test_used_port_is_an_error(url, package):
         pass
     with pytest.raises(FileError, match="choose another port"), run_server(package, address="not an address"):
         pass
+
+
+@pytest.fixture(scope="module")
+def local_server(package):
+    server = LocalServer(package)
+    yield server
+    server.close()
+
+
+class TestLocalServer:
+    """The server of *View in Browser*, which needs no other package."""
+
+    def test_files_and_ranges_of_the_package_are_sent(self, local_server, package):
+        for name in ("manifest.json", "mesh.bin", "textures.bin", "levels.glb"):
+            status, headers, body = request(local_server.url, f"/{name}?version")
+            assert (status, body) == (200, (package / name).read_bytes()) and "Server" not in headers
+        assert request(local_server.url, "/")[2] == read_page()["index.html"]
+        content = (package / "mesh.bin").read_bytes()
+        for header, status, expected in (("bytes=3-9", 206, content[3:10]), ("bytes=-4", 206, content[-4:]), ("bytes=9-3", 200, content)):
+            answer, headers, body = request(local_server.url, "/mesh.bin", {"Range": header})
+            assert (answer, body) == (status, expected)
+        assert headers["Accept-Ranges"] == "bytes"
+        status, headers, body = request(local_server.url, "/mesh.bin", {"Range": f"bytes={len(content)}-"})
+        assert (status, headers["Content-Range"], body) == (416, f"bytes */{len(content)}", b"")
+
+    @pytest.mark.parametrize("path", [path for path in PATH_TRICKS if path == path.strip()])  # Spaces belong to the request line.
+    def test_nothing_else_is_sent(self, local_server, path):
+        answer = exchange(local_server.url, f"GET {path} HTTP/1.1\r\nHost: localhost:1\r\nConnection: close\r\n\r\n".encode())
+        assert SECRET not in answer and not answer.startswith(b"HTTP/1.1 2")
+
+    def test_other_names_are_refused(self, local_server):
+        for host, status in (("evil.example:80", 421), ("evil.example", 421), (urlsplit(local_server.url).netloc, 200)):
+            assert request(local_server.url, "/manifest.json", {"Host": host})[0] == status
+
+    def test_it_ends(self, package):
+        server = LocalServer(package)
+        server.close()
+        with pytest.raises(OSError):
+            request(server.url, "/")

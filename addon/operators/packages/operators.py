@@ -33,7 +33,7 @@ FOLDER = {
 
 @dataclass
 class PackageJob:
-    """Builds packages and writes them. It does not change the scene.
+    """Builds packages and writes them. In the scene, it only keeps the folder of the first one.
 
     Attributes:
         sources: the objects.
@@ -67,6 +67,7 @@ class PackageJob:
         """Return the message for the user."""
         yield Progress(1.0, "Exported")
         folder = self.folders[0] if len(self.folders) == 1 else self.folders[0].parent
+        bpy.context.scene.farfield_packages.exported = str(self.folders[0])
         sentences = [*(report.describe() for report in core_result), f'The folder is "{folder}".']
         sentences += [sentence for source in self.sources for sentence in (describe_small(source, self.settings), *source.remarks)]
         return join_sentences([*sentences, *describe_skipped(self.skipped)])
@@ -77,7 +78,8 @@ class FARFIELD_PG_packages(bpy.types.PropertyGroup):
 
     settings_types = (PackageSettings,)
     __annotations__ = properties.build_annotations(PackageSettings, set()) | {
-        "folder": bpy.props.StringProperty(**FOLDER, options={"PATH_SUPPORTS_BLEND_RELATIVE"})
+        "folder": bpy.props.StringProperty(**FOLDER, options={"PATH_SUPPORTS_BLEND_RELATIVE"}),
+        "exported": bpy.props.StringProperty(options={"HIDDEN"}),  # The folder of the package that was written last.
     }
 
 

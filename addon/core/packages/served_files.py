@@ -1,4 +1,4 @@
-"""The files of a package that a web server may send.
+"""The files of a package that a web server may send, and the range of a file that a request asks for.
 
 They are listed and opened once, when the server starts: requests select one of them by name and never open a file.
 """
@@ -7,20 +7,23 @@ import gzip
 import hashlib
 import io
 import os
+import re
 import stat
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from lib import environment
+from ..errors import FileError
+from ..files.file_access import error_reason
+from .files import INDEX, LEVELS_GLB, read_page
+from .manifest import MANIFEST, MESH, TEXTURES, read_manifest
 
-environment.import_farfield()
-
-from farfield.addon.core.errors import FileError
-from farfield.addon.core.files.file_access import error_reason
-from farfield.addon.core.packages.files import LEVELS_GLB, read_page
-from farfield.addon.core.packages.manifest import MANIFEST, MESH, TEXTURES, read_manifest
+LOOPBACK = "127.0.0.1"
+OWN_NAMES = (LOOPBACK, "localhost")
+HEADERS = {"Referrer-Policy": "no-referrer", "X-Content-Type-Options": "nosniff"}
+PRIVATE_HEADERS = HEADERS | {"Cross-Origin-Resource-Policy": "same-origin"}
+SINGLE_RANGE = re.compile(r"bytes=[ \t]*(\d{0,18})-(\d{0,18})[ \t]*", re.IGNORECASE | re.ASCII)
 
 TEXT_TYPES = {
     ".html": "text/html; charset=utf-8",
@@ -34,8 +37,15 @@ READ_BYTES = 2**20
 
 @dataclass(frozen=True, eq=False)
 class PackageFile:
-    """An open file. size: bytes. content_type: MIME type. digest: hexadecimal SHA-256. compressed: gzip of the file, None for files that
-    are sent in ranges."""
+    """An open file.
+
+    Attributes:
+        size: in bytes.
+        content_type: MIME type.
+        digest: hexadecimal SHA-256.
+        compressed: gzip of the file, None for files that are sent in ranges.
+        handle: of the file.
+    """
 
     size: int
     content_type: str
@@ -50,8 +60,8 @@ class PackageFile:
 
 
 def open_package(folder: Path) -> dict[str, PackageFile]:
-    """Return the files of the package in `folder` by name, open for reading: manifest.json, mesh.bin, textures.bin and levels.glb; and the
-    page of this Farfield, whatever page the folder has. Links and everything else in the folder are left out.
+    """Return the files of the package in `folder` by the path of their URL, open for reading: manifest.json, mesh.bin, textures.bin and
+    levels.glb; and the page of this Farfield, whatever page the folder has. Links and everything else in the folder are left out.
 
     Raises:
         FileError: the manifest is damaged, a file is missing, cannot be read, or has another size than the manifest says.
@@ -77,13 +87,27 @@ def open_package(folder: Path) -> dict[str, PackageFile]:
     except FileError:
         close_package(files)
         raise
-    return files
+    return {f"/{name}": file for name, file in files.items()} | {"/": files[INDEX]}
 
 
 def close_package(files: Mapping[str, PackageFile]) -> None:
     """Close all files."""
     for file in files.values():
         file.handle.close()
+
+
+def read_range(header: str, size: int) -> tuple[int, int] | None:
+    """Return first byte and end of the range that a Range header asks of a file with `size` bytes; None for the whole file, which also
+    answers several ranges and headers that are not valid (RFC 9110, 14.2). The range is empty if the file has none of its bytes."""
+    match = SINGLE_RANGE.fullmatch(header)
+    if match is None or not (match[1] or match[2]):
+        return None
+    if not match[1]:
+        return max(size - int(match[2]), 0), size
+    first, last = int(match[1]), int(match[2]) if match[2] else size - 1
+    if match[2] and last < first:
+        return None
+    return min(first, size), min(last + 1, size)
 
 
 def _open_file(path: Path) -> PackageFile:
