@@ -57,18 +57,17 @@ HEAD_ERROR = 0.02
 HEAD_VOXEL = 0.04
 MAP_PIXELS = 300
 MAP_MARGIN = 45  # empty pixels along the edges of the render
-CROSSFADE_PIXELS = 280
-DISTANCE_WIDTH, FLIGHT_WIDTH = 1600, 480
-RELIGHT_PIXELS = 290
+CROSSFADE_PIXELS = 332
+WIDE_PIXELS, WIDE_SAMPLES = 1600, 32  # Of denoised pictures as wide as a page.
+FLIGHT_WIDTH = 480
+RELIGHT_PIXELS = 401
 RELIGHT_ERROR = 0.01
 RELIGHT_ROUGHNESS = 0.3
 RESTORE_PIXELS = 240
-WOOD_WIDTH = 660
-LANDSCAPE_WIDTH = 720
 CLIFFS_PIXELS = 520
 WALK_WIDTH = 184
 WALK_ROWS = ("1 to 4", "5 to 8", "9 to 12")
-WEBP_QUALITY = 90
+WEBP_QUALITIES, MAX_WEBP_BYTES = (90, 80, 70, 60), 350_000  # The best quality that stays below, or the last one.
 
 
 def main(arguments: list[str], line: command_line.ProgressLine) -> str:
@@ -176,10 +175,10 @@ def create_closed_monkey() -> bpy.types.Object:
     return monkey
 
 
-def wood(scene: Path, path: Path, samples: int) -> None:
+def wood(scene: Path, path: Path, _samples: int) -> None:
     """Render hundreds of the demo's trees."""
     cloud = open_demo_cloud(scene)
-    counts = render_forest(cloud, path, WOOD_WIDTH, samples)
+    counts = render_forest(cloud, path, WIDE_PIXELS, WIDE_SAMPLES)
     names = {None: "source", **{index: f"level {index}" for index in range(len(cloud.levels))}}
     print(", ".join(f"{count} of {names[level]}" for level, count in counts.items()), file=sys.stderr)
 
@@ -200,16 +199,16 @@ def restore(_scene: Path, path: Path, _samples: int) -> None:
     write(path, draw_restore_comparison(RESTORE_PIXELS))
 
 
-def landscape(_scene: Path, path: Path, samples: int) -> None:
+def landscape(_scene: Path, path: Path, _samples: int) -> None:
     """Render mountains in nested boxes."""
     with atomic_file(path) as temporary:
-        terrain_views.landscape(temporary, LANDSCAPE_WIDTH, samples)
+        terrain_views.landscape(temporary, WIDE_PIXELS, WIDE_SAMPLES)
 
 
-def copses(_scene: Path, path: Path, samples: int) -> None:
+def copses(_scene: Path, path: Path, _samples: int) -> None:
     """Render copies of a voxel tree in nested boxes."""
     with atomic_file(path) as temporary:
-        terrain_views.copses(temporary, LANDSCAPE_WIDTH, samples)
+        terrain_views.copses(temporary, WIDE_PIXELS, WIDE_SAMPLES)
 
 
 def walk(_scene: Path, path: Path, samples: int) -> None:
@@ -235,7 +234,7 @@ def cliffs(_scene: Path, path: Path, samples: int) -> None:
 
 def distance(_scene: Path, path: Path, samples: int) -> None:
     """Render a valley that was made distance-ready, half of it with each level in its own color."""
-    print(distance_flight.build_ready_valley(DISTANCE_WIDTH, samples), file=sys.stderr)
+    print(distance_flight.build_ready_valley(WIDE_PIXELS, samples), file=sys.stderr)
     distance_flight.render_still(path)
 
 
@@ -382,13 +381,19 @@ def create_clay_material(roughness: float) -> bpy.types.Material:
 def save_webp(picture: Path, path: Path) -> None:
     """Convert a PNG to WebP: lossless if that is smaller, as it is for images of few colors. The file appears complete or not at all."""
     with Image.open(picture) as image:
-        encoded = []
-        for lossless in (False, True):
-            file = io.BytesIO()
-            image.convert("RGB").save(file, "WEBP", lossless=lossless, quality=WEBP_QUALITY, method=6)
-            encoded.append(file.getvalue())
+        for quality in WEBP_QUALITIES:
+            encoded = min((encode_webp(image, quality, lossless) for lossless in (False, True)), key=len)
+            if len(encoded) <= MAX_WEBP_BYTES:
+                break
     with atomic_file(path) as temporary:
-        temporary.write_bytes(min(encoded, key=len))
+        temporary.write_bytes(encoded)
+
+
+def encode_webp(image: Image.Image, quality: int, lossless: bool) -> bytes:
+    """Return the bytes of an image in the format WebP."""
+    file = io.BytesIO()
+    image.convert("RGB").save(file, "WEBP", lossless=lossless, quality=quality, method=6)
+    return file.getvalue()
 
 
 def write(path: Path, image: np.ndarray) -> None:

@@ -32,7 +32,7 @@ from lib.demo_materials import create_material
 from lib.studio import bounding_sphere, look_at_matrix, open_studio
 
 PAGE = Path(__file__).resolve().parent / "tutorial.md"
-VIEW_WIDTH = 960
+VIEW_WIDTH = 1600
 GROUND_SIZE = 440, 248
 CELL_PIXELS = 210
 ROCK_COLUMNS = 4
@@ -216,7 +216,7 @@ def render_view(samples: int) -> np.ndarray:
     """Render the scene and return its display values (H, W, 3), row 0 at the bottom."""
     scene = bpy.context.scene
     scene.render.engine, scene.cycles.samples, scene.cycles.device = "CYCLES", samples, "CPU"
-    scene.cycles.use_denoising = False
+    scene.cycles.use_denoising = True
     with tempfile.TemporaryDirectory() as folder:
         scene.render.filepath = str(Path(folder) / "view.png")
         bpy.ops.render.render(write_still=True)
