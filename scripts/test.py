@@ -1,9 +1,10 @@
-"""Run all tests that this machine can run, and list the skipped tests with the reasons.
+"""Run the tests that this machine can run, and list the skipped tests with the reasons.
 
-    python3 scripts/test.py [--all] [--window] [--record] [arguments of pytest]
+    python3 scripts/test.py [--slow] [--all] [--window] [--record] [arguments of pytest]
 
-`--all` adds the exhaustive variants and more random examples. Tests that open a Blender window (tests/gui) run only with `--window`, or if
-they are named: `python3 scripts/test.py tests/gui`. `--record` writes how long the tests took, see lib/durations.py.
+`--slow` adds the tests that take seconds, `--all` also the exhaustive variants and more random examples. Tests that open a Blender window
+(tests/gui) run only with `--window`, or if they are named: `python3 scripts/test.py tests/gui`. `--record` writes how long the tests took,
+see lib/durations.py.
 
 Test files run in parallel, the longest ones first, see lib/schedule.py; `-n 0` runs them one after the other, the fast ones first. If
 Blender crashes in one of the processes, the test files that have no result are run once more, in a new process.

@@ -101,8 +101,9 @@ def scheduler(tmp_path) -> Iterator:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the option that includes the variants marked `exhaustive`."""
-    parser.addoption("--all", action="store_true", dest="exhaustive", help="also run the tests marked exhaustive")
+    """Add the options that include tests marked `slow`, and also variants marked `exhaustive`."""
+    parser.addoption("--slow", action="store_true", dest="slow", help="also run the tests marked slow")
+    parser.addoption("--all", action="store_true", dest="exhaustive", help="also run the tests marked slow or exhaustive")
 
 
 def pytest_report_header(config: pytest.Config) -> list[str]:
@@ -123,11 +124,14 @@ def pytest_make_collect_report(collector: pytest.Collector) -> Iterator:
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Run fast tests first, so that failures show early; in parallel runs, `lib.schedule` orders the files. Files that need nothing outside
-    the core get the marker `core`. Tests marked `exhaustive`, and many random examples, need the option --all."""
+    the core get the marker `core`. Tests marked `slow` need an option or must be named; those marked `exhaustive`, and many random
+    examples, need the option --all."""
     if not config.option.exhaustive:
-        left_out = [item for item in items if item.get_closest_marker("exhaustive")]
+        is_named = any("::" in argument for argument in config.args)
+        markers = {"exhaustive"} if config.option.slow or is_named else {"exhaustive", "slow"}
+        left_out = [item for item in items if markers & {marker.name for marker in item.iter_markers()}]
         config.hook.pytest_deselected(items=left_out)
-        items[:] = [item for item in items if not item.get_closest_marker("exhaustive")]
+        items[:] = [item for item in items if item not in set(left_out)]
         for test in {item.function for item in items}:
             take_fewer_examples(test)
     is_core = {path: not NEEDS_MORE_THAN_CORE.search(path.read_text(encoding="utf-8")) for path in {item.path for item in items}}

@@ -83,6 +83,7 @@ def test_a_package_replaces_no_other_page(folder):
     assert 'contains "index.html", but no package' in refusal(call, folder)
 
 
+@pytest.mark.slow
 def test_packages_of_several_objects_replace_only_their_folders(folder):
     """The folder above them may have a page of its own."""
     ball = bpy.context.active_object

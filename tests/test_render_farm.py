@@ -71,6 +71,7 @@ def saved_scene(empty_scene, tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_drivers_follow_with_scripts_disabled(saved_scene):
     outcome = subprocess.run([sys.executable, "-c", PROBE, str(saved_scene)], capture_output=True, text=True, check=False)
     lines = [line for line in outcome.stdout.splitlines() if line.startswith("PROBE")]

@@ -39,6 +39,7 @@ def test_every_page_is_in_the_navigation():
     assert sorted(listed) == sorted([*pages, "index.md", "changelog.md", "contributing.md"])
 
 
+@pytest.mark.slow
 def test_pages_load_files_of_the_site_only(site):
     pages = sorted(site.rglob("*.html"))
     assert len(pages) > 30
@@ -48,6 +49,7 @@ def test_pages_load_files_of_the_site_only(site):
         assert not missing or page.name == "404.html", page
 
 
+@pytest.mark.slow
 def test_search_works_without_a_server(site, tmp_path):
     if programs.find_chromium() is None:
         pytest.skip(SKIP_REASON)

@@ -57,6 +57,7 @@ def test_the_pine_has_the_triangles_that_the_page_names(empty_scene):
 class TestScene:
     """What is in the scene after all steps."""
 
+    @pytest.mark.slow
     def test_the_ground_follows_the_camera_and_touches_the_pine(self):
         (root,) = (item for item in bpy.data.objects if item.farfield_clipbox_follow_camera)
         heights = [(block.matrix_world @ vertex.co) for block in root.children for vertex in block.data.vertices]

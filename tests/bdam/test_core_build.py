@@ -64,6 +64,7 @@ def built(tmp_path_factory):
     return folder, source, image, read_files(folder / "store"), report
 
 
+@pytest.mark.slow
 def test_processes_build_the_same_bytes(built, tmp_path):
     _, source, image, files, _ = built
     run_to_end(steps_of([source], tmp_path / "store", [image], executor="processes:2"))
@@ -84,6 +85,7 @@ def test_a_cancelled_build_resumes_with_the_same_bytes(built, tmp_path, fraction
     assert [path.name for path in tmp_path.iterdir()] == ["store"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "pattern", ["blocks-00-*.shard", pytest.param("blocks-*.shard", marks=pytest.mark.exhaustive), "patches-*.shard", "textures/*.tile"]
 )

@@ -93,6 +93,7 @@ def area_of(mesh) -> float:
     return 0.5 * float((first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).sum())
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(data=st.data())
 def test_a_flipped_byte_anywhere_is_named_and_the_rest_is_usable(intact, contents, folder, viewer, data):

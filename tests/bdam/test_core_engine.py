@@ -105,6 +105,7 @@ def welded(scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return ids[order], positions[order], np.concatenate([tile.normals for tile in tiles])[order]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "exaggeration"), [("plain", 1.0), ("texture", 3.0)])
 def test_incremental_updates_show_the_same_as_a_new_engine(folders, kind, exaggeration):
     scene = Scene(engine_of(folders, kind, exaggeration=exaggeration))

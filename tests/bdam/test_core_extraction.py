@@ -85,6 +85,7 @@ def test_random_cameras_see_no_cracks(store, kind):
     assert len(sizes) > 5, "the cuts differ"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "culls"),
     [

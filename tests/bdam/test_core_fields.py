@@ -364,6 +364,7 @@ class TestErrors:
                 assert raised.value.settings == (name,)
 
 
+@pytest.mark.slow
 def test_an_image_larger_than_the_cache_is_read_with_bounded_memory(tmp_path):
     values = np.random.default_rng(0).integers(0, 3000, (2048, 2048)).astype(np.int16)
     for path in (

@@ -284,6 +284,7 @@ def test_normals_of_triangles_without_area_are_numbers():
     assert (np.abs(vertex_gradients(positions, np.array([[0, 1, 2]]))) < 1e100).all()
 
 
+@pytest.mark.slow
 def test_thin_triangles_that_overlap_need_little_memory(monkeypatch):
     """Each of them is in nearly all buckets, and each point is in nearly all of them."""
     count = 3000

@@ -85,6 +85,7 @@ class Orbit(Flight):
         return look_at(np.array([500.0 * np.cos(angle), 500.0 * np.sin(angle), 200.0]), np.zeros(3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", [Turn, pytest.param(Orbit, marks=pytest.mark.exhaustive)])
 def test_turning_viewers_find_what_they_need(folders, path):
     ahead, without = (path(folders["texture"], prefetches) for prefetches in (True, False))

@@ -168,6 +168,7 @@ def test_coded_tiles_need_few_bytes(photographed, image_format):
     assert np.abs(inner - photograph(2 * STEP)[j : j + STEP, i : i + STEP]).mean() < 4.0
 
 
+@pytest.mark.slow
 def test_any_split_and_order_of_the_work_gives_the_same_bytes(tmp_path):
     pixels = with_holes(photograph(1000))
     with build(tmp_path, pixels, image_format="jpeg", error="feature") as store:
@@ -188,6 +189,7 @@ def test_any_split_and_order_of_the_work_gives_the_same_bytes(tmp_path):
         assert path.read_bytes() == (tmp_path / "again" / path.name).read_bytes()
 
 
+@pytest.mark.slow
 def test_an_interrupted_build_goes_on_and_repairs_what_is_damaged(tmp_path):
     pixels = photograph(600)
     build(tmp_path, pixels, levels=3).close()
@@ -245,6 +247,7 @@ def test_holes_stay_holes_without_a_fringe(tmp_path):
         assert (root == 255).all()
 
 
+@pytest.mark.slow
 def test_tiles_without_a_known_texel_are_not_stored(tmp_path):
     pixels = np.full((2 * STEP, 2 * STEP, 4), 255, np.uint8)
     pixels[STEP:, STEP:, 3] = 0

@@ -87,6 +87,7 @@ def assert_independent(objects) -> None:
         assert not [node for material in materials for node in material.node_tree.nodes if getattr(node, "object", None) is not None]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shading", "joined"),
     [

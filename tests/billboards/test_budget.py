@@ -62,6 +62,7 @@ def test_two_budgets_are_rejected():
         build_test_cloud(shapes.sphere(6), quads=10, texture_mb=2.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mesh", "budget"),
     [
@@ -101,6 +102,7 @@ def test_default_is_no_budget():
     assert read_budget(BillboardSettings(texture_mb=0.5)).limit == 0.5
 
 
+@pytest.mark.slow
 def test_larger_budgets_give_more_quads_and_smaller_errors():
     clouds = [(budget, build_test_cloud(shapes.bumpy_sphere(4), quads=budget, levels=1)) for budget in (8, 16)]
     for budget, cloud in clouds:
@@ -151,6 +153,7 @@ def test_group_above_its_fraction_gets_the_same_error_as_the_other():
     assert loose + connected <= 12
 
 
+@pytest.mark.slow
 def test_levels_double_the_error_of_each_group_and_have_the_larger():
     mesh = bush()
     cloud = build_test_cloud(mesh, quads=20, levels=3, nested_levels=True)
@@ -163,6 +166,7 @@ def test_levels_double_the_error_of_each_group_and_have_the_larger():
     assert all((level.quads.owner >= 0).all() and (level.quads.owner < len(level.quads)).all() for level in cloud.levels)
 
 
+@pytest.mark.slow
 def test_too_small_budget_is_rejected_with_the_required_one():
     mesh = shapes.box(cuts=1)
     with pytest.raises(SettingsError, match=r'"mesh" needs at least \d quads, at the largest error of 50%, but Quads is 1'):
@@ -172,6 +176,7 @@ def test_too_small_budget_is_rejected_with_the_required_one():
         build_test_cloud(mesh, texture_mb=0.001, levels=1)
 
 
+@pytest.mark.slow
 def test_more_quads_than_a_small_mesh_needs_do_not_fill_the_memory():
     """A texture of 12104 x 14008 texels gave the last of 32 faces a quad of its own."""
     sheet = shapes.sheet(4)
@@ -240,6 +245,7 @@ def test_proximity_graph_is_built_once_per_group(monkeypatch):
     assert len(sizes) == 2 and sum(sizes) == len(mesh.triangles)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "mesh", "error"),
     [

@@ -65,6 +65,7 @@ class TestBounds:
         assert set(drawn) == set(range(len(mesh.triangles)))
         assert cloud.uncovered_faces == 0
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("degrees", [20.0, pytest.param(60.0, marks=pytest.mark.exhaustive)])
     @pytest.mark.parametrize("mesh", [sphere(6), bumpy_sphere(7), soup(40), leaf_cards(40)], ids=["sphere", "bumpy", "soup", "cards"])
     def test_clusters_keep_the_normal_bound_on_every_quad(self, mesh, degrees):
@@ -103,6 +104,7 @@ class TestBounds:
             offsets = local[:, None] - polygon
             assert (edges[:, 0] * offsets[:, :, 1] - edges[:, 1] * offsets[:, :, 0]).min(initial=0.0) >= -1e-5
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("method", METHODS)
     def test_equal_seeds_give_equal_bytes(self, method):
         mesh = box(cuts=2) if method == "decimate" else bumpy_sphere(6)

@@ -78,6 +78,7 @@ def build(*objects, **settings):
     return job
 
 
+@pytest.mark.slow
 def test_sphere_is_compared_with_the_mesh_that_decimate_makes():
     ball = blender_scenes.ball(material=blender_scenes.create_material("Clay"))
     before = blender_scenes.count_data()
@@ -171,6 +172,7 @@ class TestNotCompared:
         box = blender_scenes.box()
         assert not can_compare(blender_scenes.read_objects(box), [box])
 
+    @pytest.mark.slow
     def test_levels_that_are_too_fine_or_heavy(self, monkeypatch):
         ball = blender_scenes.ball()
         job = build(ball)

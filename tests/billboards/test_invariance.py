@@ -32,6 +32,7 @@ def transform(mesh: TriangleMesh, scale: float = 1.0, rotation: np.ndarray | Non
     return TriangleMesh((vertices if rotation is None else vertices @ rotation.T) + offset, mesh.triangles)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("method", "power"), [("clusters", -20), ("hough", 20)])
 def test_scaling_by_powers_of_two_is_exact(method, power):
     """Rounding does not change, so any difference would reveal an absolute length in the code."""
@@ -87,6 +88,7 @@ def test_rotated_box_has_rotated_faces(seed):
     np.testing.assert_allclose(np.sort(np.abs(local), axis=1), np.tile([0.0, 0.0, 1.0], (6, 1)), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_rotation_changes_little():
     """The error is the same length for both, although the bounding boxes differ."""
     mesh = concatenate([BUMPY, transform(leaf_cards(40), 1.5)])

@@ -199,6 +199,7 @@ def test_every_face_of_a_proxy_keeps_its_material(scene):
     assert proxy.data.materials[0] != proxy.data.materials[1]
 
 
+@pytest.mark.slow
 def test_coverage_is_preserved_while_fading(scene):
     _, cloud = build_cloud(blender_scenes.ball("Ball"), error=5.0)
     bpy.ops.farfield.billboards_crossfade(fade_range=100.0)

@@ -70,6 +70,7 @@ def sum_colors(items, source):
         return np.array([studio.render(items, direction, center, 0.03, 100).sum(axis=(0, 1)) for direction in directions])
 
 
+@pytest.mark.slow
 def test_crowns_are_as_bright_as_their_source(crown, fitted):
     source, cloud, textures, item = crown
     wanted = sum_colors([item], source)
@@ -92,6 +93,7 @@ def test_darkened_colors_can_be_restored(crown, fitted):
     np.testing.assert_allclose(straight, (before[:, :3] @ LUMINANCE) / before[:, 3], rtol=0.01)
 
 
+@pytest.mark.slow
 def test_wrong_colors_are_corrected():
     item = blender_scenes.box(material=blender_scenes.create_material("Red", (0.7, 0.3, 0.2), 1.0))
     source, cloud, textures = build(item)
@@ -110,6 +112,7 @@ def test_objects_that_moved_change_nothing(crown):
     assert fitted[0] is textures[0]
 
 
+@pytest.mark.slow
 def test_solids_keep_their_color_and_opacity():
     item = blender_scenes.ball(material=blender_scenes.create_material("Red", (0.8, 0.2, 0.1), 0.6), segments=12)
     source, cloud, textures = build(item)

@@ -469,6 +469,7 @@ class TestPanel:
         assert f"Details ({len(cloud.notes)} notes)" in texts
         assert "with an error of 10% is" in " ".join(cloud.notes) and 'The cloud of "Cube" has 12' in " ".join(cloud.notes)
 
+    @pytest.mark.slow
     def test_triangles_of_decimated_meshes_are_shown(self):
         bpy.ops.mesh.primitive_uv_sphere_add(segments=24, ring_count=12)
         build(error=4.0, levels=1, nested_levels=False)

@@ -92,6 +92,7 @@ def test_leaves_stay_quads_beside_a_trunk():
     assert has_chart[level.quads.owner[~is_leaf]].all() and not has_chart[level.quads.owner[is_leaf]].any()
 
 
+@pytest.mark.slow
 def test_parts_within_the_error_of_a_mesh_are_drawn_on_it():
     """Small bumps on a ball, as bolts on a hull."""
     ball, bolt = bumpy_sphere(8), box(cuts=1)
@@ -108,6 +109,7 @@ def test_other_clouds_have_quads_only(settings):
     assert level.quad_count == len(level.quads)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "budget"),
     [

@@ -82,6 +82,7 @@ def test_quads_span_their_rectangles_of_the_texture():
     assert np.ptp(uvs, axis=1) == pytest.approx(level.atlas.quad_sizes, abs=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sun", [(1.0, -0.5, 1.0), (-1.0, 0.2, 0.3)], ids=["front", "grazing"])
 def test_ball_of_quads_is_lit_like_the_ball(sun):
     ball = blender_scenes.ball(material=blender_scenes.create_material("Clay", (0.8, 0.4, 0.2), 0.6))

@@ -135,6 +135,7 @@ def test_source_is_hidden_unless_kept(cube, keep):
     assert not level.hide_viewport and not level.hide_render
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT to send to one process")
 def test_cancelling_is_code_130_and_leaves_no_files(cube):
     out = cube.with_name("out.blend")
@@ -156,6 +157,7 @@ def test_cancelling_is_code_130_and_leaves_no_files(cube):
     assert [path.name for path in cube.parent.iterdir()] == [cube.name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("extension", [".blend", ".ply", ".stl", ".glb", ".gltf", ".fbx", ".usd"])
 def test_input_formats(extension, cube):
     scene_files.open_scene(cube)

@@ -55,6 +55,7 @@ def scattered_boxes(count: int, cuts: int) -> TriangleMesh:
     return concatenate(boxes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("source", "settings"),
     [(bumpy_sphere(4), {"error": 0.04}), pytest.param(box(cuts=1), {"quads": 8}, marks=pytest.mark.exhaustive)],
@@ -65,6 +66,7 @@ def test_a_small_source_is_estimated_exactly(source, settings):
     assert [astuple(level) for level in estimate(source, **settings)] == build(source, **settings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("source", "solid_parts"),
     [

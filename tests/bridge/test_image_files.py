@@ -340,6 +340,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_is_no_flat_image_is_refused_in_one_sentence(tmp_path, name, capfd):
     write, text = REFUSED[name]

@@ -94,6 +94,7 @@ def render_source_and_cloud(cloud, sun, direction) -> tuple[np.ndarray, np.ndarr
         return tuple(studio.render(visible, unit, center, pixel_size, int(2.2 * radius / pixel_size)) for visible in (sources, [level]))
 
 
+@pytest.mark.slow
 def test_matches_the_source_under_a_rotated_sun(cloud):
     cloud = bake_in_this_process(cloud, **{**QUICK_BAKE, "lights_per_side": 4})
     sun = create_sun((0.3, -0.8, 0.5))
@@ -112,6 +113,7 @@ def test_matches_the_source_under_a_rotated_sun(cloud):
     assert abs(means[0] - means[1]) > 0.02, "the test needs two different lightings"
 
 
+@pytest.mark.slow
 def test_a_wall_casts_sharp_shadows_between_the_baked_suns():
     ground, wall = blender_scenes.card("Ground"), blender_scenes.box("Wall")
     ground.scale = (2.0, 2.0, 1.0)

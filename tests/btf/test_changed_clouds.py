@@ -88,6 +88,7 @@ def captured(job: BakeJob) -> list[np.ndarray]:
 class TestMovedClouds:
     """The capture does not depend on where the cloud is."""
 
+    @pytest.mark.slow
     def test_moved_rotated_scaled_and_parented_levels(self, cloud, tmp_path):
         expected = captured(prepare_job(cloud, tmp_path / "a"))
         parent = bpy.data.objects.new("Parent", None)
@@ -207,6 +208,7 @@ class TestEditMode:
         bpy.ops.object.mode_set(mode="OBJECT")
         prepare_job(cloud, tmp_path)
 
+    @pytest.mark.slow
     def test_a_finished_bake_is_kept_until_edit_mode_ends(self, baked, cloud, tmp_path):
         job = prepare_job(cloud, tmp_path)
         edit(cloud.levels[1])
@@ -221,6 +223,7 @@ class TestEditMode:
 class TestLinkedDuplicates:
     """A level and its linked duplicate share the mesh, and thus the material."""
 
+    @pytest.mark.slow
     def test_both_are_baked_again_and_restored(self, finished_views, baked_file):
         """A bake replaces that of the other model."""
         cloud = open_cloud(baked_file)
@@ -249,6 +252,7 @@ class TestLinkedDuplicates:
         assert PBR_MATERIAL not in duplicate and duplicate.data.materials[0].name == pbr_name
 
 
+@pytest.mark.slow
 def test_the_model_emission_needs_no_color_map(baked, cloud):
     bpy.data.images.remove(pbr_image(cloud.levels[0], FRONT_COLOR))
     bake_finished_views(cloud)

@@ -127,6 +127,7 @@ def test_a_folder_contains_an_image_per_view_and_light(cloud, tmp_path):
     assert header.count(b"\0\1\0\0\0") >= 3, "channels are half floats"
 
 
+@pytest.mark.slow
 def test_a_btf_file_decodes_to_the_same_radiance(cloud, tmp_path):
     file = read_fmf(export(cloud, tmp_path / "cloud.btf", ExportSettings()))
     texture = read_relightable_texture(cloud.levels[0])

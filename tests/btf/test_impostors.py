@@ -120,6 +120,7 @@ def test_matches_the_source_at_and_between_frames():
         assert metrics.alpha_iou(source[..., 3], rendered[..., 3]) > min_iou
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("upper", [False, pytest.param(True, marks=pytest.mark.exhaustive)], ids=["whole", "upper"])
 def test_the_shader_matches_the_reference(upper):
     source = blender_scenes.read_objects(*ball_and_box())

@@ -345,6 +345,7 @@ def test_clusters_are_read_back_from_the_material():
     assert texture.color.clusters == 3 and texture.color.basis.shape == (16, 15, 30)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("visible_from", ["above", "below"])
 def test_shadows_have_the_silhouette_seen_from_the_light(visible_from):
     """A card that is only visible from above, or only from below, casts a shadow of a Sun above on the ground."""

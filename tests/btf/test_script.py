@@ -44,6 +44,7 @@ def main(*arguments) -> None:
     btf.main([str(argument) for argument in arguments], command_line.ProgressLine())
 
 
+@pytest.mark.slow
 def test_local_pca_with_exports(cloud_file):
     folder = cloud_file.parent
     local = ("--codec", "lpca", "--clusters", "3", "--cluster-components", "2", "--no-blend-texels")

@@ -43,6 +43,7 @@ def test_the_color_shows_before_and_after_a_bake_and_once_it_is_removed(model, c
     assert not any(PBR_MATERIAL in level for level in cloud.levels) and shown_images(cloud) == colors
 
 
+@pytest.mark.slow
 def test_a_bake_of_a_cloud_without_textures_shows_no_image():
     blender_scenes.reset_scene()
     cloud = build_cloud(blender_scenes.ball(), levels=1, nested_levels=False, textures=False)

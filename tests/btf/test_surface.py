@@ -61,6 +61,7 @@ def cloud(baked_file) -> SceneCloud:
     return open_cloud(baked_file)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind", ["sun", "area", *(pytest.param(kind, marks=pytest.mark.exhaustive) for kind in LIGHT_KINDS if kind not in ("sun", "area"))]
 )
@@ -76,6 +77,7 @@ def test_every_light_reaches_the_cloud_and_it_is_nearer_to_the_source_than_its_p
     assert (psnr > plain_psnr + 0.5).all() and psnr.min() > 28.0
 
 
+@pytest.mark.slow
 def test_the_mesh_of_a_solid_part_is_relit_and_keeps_its_silhouette(extension):
     cloud = build_cloud(blender_scenes.ball(material=blender_scenes.create_material("Red", (0.8, 0.2, 0.1), 0.6)))
     level = cloud.levels[0]
@@ -116,6 +118,7 @@ def test_the_cloud_casts_the_shadow_of_the_source(cloud):
         assert (shadows[0] & shadows[1]).sum() > 0.85 * (shadows[0] | shadows[1]).sum()
 
 
+@pytest.mark.slow
 def test_no_light_leaks_through_a_solid():
     """The sides of a box that face away from the only light are black, from near too."""
     box = blender_scenes.box(material=blender_scenes.create_material("White", (0.9, 0.9, 0.9), 1.0))
@@ -134,6 +137,7 @@ def test_no_light_leaks_through_a_solid():
             assert not (baked[is_inside][:, :3] > 0.1).any()
 
 
+@pytest.mark.slow
 def test_emission_needs_no_light():
     material = blender_scenes.create_material("Glow", (0.2, 0.2, 0.2), 1.0)
     shader = blender_scenes.shader_of(material)

@@ -60,6 +60,7 @@ def test_only_the_user_may_read_the_work_folder(cloud, tmp_path):
     assert job.run.snapshot_folder.parent == folder
 
 
+@pytest.mark.slow
 @posix_only
 def test_the_operator_uses_a_private_folder_of_the_user(monkeypatch):
     views = finished_views_of_small_cloud()

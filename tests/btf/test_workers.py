@@ -80,6 +80,7 @@ def script_command(cloud_file: Path, folder: Path, *more: str) -> list[str]:
     return [sys.executable, str(SCRIPT), str(cloud_file), "--out", str(out), "--work", str(folder), *to_flags(SMALL), *more]
 
 
+@pytest.mark.slow
 def test_several_processes_write_the_same_bytes(cloud, reference_digests, tmp_path):
     job = prepare_job(cloud, tmp_path / "Arbeit ü", "processes:2")
     run_to_end(job.core_steps())
@@ -177,6 +178,7 @@ def test_an_unknown_executor_is_rejected_before_anything_is_written(cloud, tmp_p
     assert not (tmp_path / "work").exists()
 
 
+@pytest.mark.slow
 def test_a_temporary_work_folder_is_deleted(cloud):
     job = prepare_job(cloud, None)
     folder = copy_finished_views(job.folder)
@@ -197,6 +199,7 @@ def test_a_cloud_removed_during_the_bake_is_named(cloud, tmp_path):
         run_to_end(job.scene_steps([]))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no limit for the size of files")
 def test_the_worker_reports_a_full_disk(cloud, tmp_path):
     import resource
@@ -212,6 +215,7 @@ def test_the_worker_reports_a_full_disk(cloud, tmp_path):
     assert not finished_views(tmp_path)
 
 
+@pytest.mark.slow
 def test_the_worker_reports_a_missing_snapshot(cloud, tmp_path):
     job = prepare_job(cloud, tmp_path)
     (job.run.snapshot_folder / btf_snapshot.BLEND_FILE).unlink()

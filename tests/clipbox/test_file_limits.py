@@ -40,6 +40,7 @@ def write_samples(path):
     return dtype.itemsize
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     ["scaled.nii.gz", "gray.tif"]

@@ -167,6 +167,7 @@ def with_setting(name, value):
     return json.dumps(SMALL | {name: value})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("key", "value", "words"),
     [

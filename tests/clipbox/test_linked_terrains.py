@@ -112,6 +112,7 @@ def sessions(tmp_path_factory) -> dict[str, tuple[dict, str]]:
     return sessions
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "reason"), KINDS.items())
 def test_terrains_of_other_files_are_rejected_and_stay_unchanged(sessions, kind, reason):
     results, messages = sessions[kind]

@@ -34,6 +34,7 @@ def volume_of(path: Path, source_size: float):
     return build_sampler(ClipboxSettings(terrain="volume", source=str(path), source_size=source_size), READERS).function
 
 
+@pytest.mark.slow
 def test_a_volume_and_a_level_set(openvdb, tmp_path):
     sphere = openvdb.createLevelSetSphere(radius=20.0, voxelSize=1.0)
     openvdb.write(str(tmp_path / "Kugel 樹.vdb"), [sphere])

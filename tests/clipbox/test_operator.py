@@ -270,6 +270,7 @@ class TestEngineCache:
         assert terrain.root is None and cache.get(renamed) is engine and len(cache) == 1
         assert follow(renamed, (9.0, 0.0, 20.0)).moves == 1
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("operator", ["remove", "delete", "convert"])
     def test_the_engine_of_a_removed_terrain_is_evicted(self, operator):
         camera_at(0.0, 0.0, 20.0)
@@ -287,6 +288,7 @@ class TestEngineCache:
         gc.collect()
         assert len(cache) == 0 and engine() is None
 
+    @pytest.mark.slow
     def test_many_terrains_leave_no_memory_or_followings(self):
         camera_at(0.0, 0.0, 20.0)
         data = (bpy.data.objects, bpy.data.collections, bpy.data.meshes)

@@ -143,6 +143,7 @@ def test_a_path_without_positions_is_rejected(folder, text):
         run("--path", folder / "path.csv", "--out", folder / "ground.ply")
 
 
+@pytest.mark.slow
 def test_exit_codes(folder):
     success, failure = run_script(SCRIPT, [*SMALL, "--out", folder / "a.ply"], [*SMALL, "--out", folder / "b.ply", "--formula", "os"])
     assert success.returncode == 0 and (folder / "a.ply").is_file(), success.stderr

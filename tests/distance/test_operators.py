@@ -82,6 +82,7 @@ def test_an_object_that_is_light_when_decimated_gets_neither_perceptual_levels_n
     assert chain.triangles[0] == count_triangles(ball) and chain.triangles[-1] <= 0.1 * chain.triangles[0]
 
 
+@pytest.mark.slow
 def test_a_billboard_cloud_of_a_scatter(camera):
     scatter = add_scatter([(0.0, 5.0, 0.0), (0.0, 3000.0, 0.0)], [add_box("Box", linked=False), add_box("Cube", size=0.3, linked=False)])
     before = describe_file()
@@ -382,6 +383,7 @@ def test_drivers_run_without_permission_for_python(camera):
     assert len(drivers) == 3 and all(driver.is_valid and driver.is_simple_expression for driver in drivers)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [1e-3, 1e4])
 def test_a_budget_of_seconds_is_tried_with_renders(camera, seconds):
     ball = add_ball(300.0)
@@ -420,6 +422,7 @@ def test_a_measurement_renders_both_and_changes_nothing(camera):
     assert not scene.farfield_distance.figures
 
 
+@pytest.mark.slow
 def test_unsaved_images_do_not_hinder_a_measurement(camera):
     ball = add_ball(300.0)
     build(**QUICK)
@@ -448,6 +451,7 @@ def test_a_measurement_that_is_cancelled_ends_its_process_and_deletes_its_copy_o
     assert not job.folder.exists() and describe_file() == before
 
 
+@pytest.mark.slow
 def test_a_measurement_writes_no_file_of_the_compositor(camera, tmp_path):
     add_ball(300.0)
     build(**QUICK)

@@ -27,6 +27,7 @@ FOLDER = Path(sys.argv[sys.argv.index("--") + 1])
 LEAVES = 300
 START_TIMEOUT_SECONDS = 20.0
 WHEEL_STEPS = 8  # Half of a sidebar.
+STEP_PIXELS = 15  # Less than the height of a button.
 
 results: dict = {"error": None}
 
@@ -104,20 +105,20 @@ class UserInput:
         the mouse. If no visible button is it, scroll down, as a user would."""
         sidebar = self.region("UI")
         x = sidebar.x + sidebar.width // 2
-        heights = range(sidebar.y + sidebar.height - 10, sidebar.y, -9)
-        known = [self._found[operator] + 1] if operator in self._found else []
+        heights = range(sidebar.y + sidebar.height - 10, sidebar.y, -STEP_PIXELS)
+        known = [self._found[operator]] if operator in self._found else []
         for tried in ([*known, *heights], heights, heights):
             self.move(sidebar.x - 200, sidebar.y + sidebar.height // 2)  # leave the sidebar, or the last pressed button stays active
             yield 3 * POLL_SECONDS
             for y in tried:
                 self.move(x, y)
                 yield POLL_SECONDS
-                if self.is_on_button(operator):
-                    self.move(x, y - 1)
+                for other in (y - 1, y + 1) if self.is_on_button(operator) else ():
+                    self.move(x, other)
                     yield 3 * POLL_SECONDS
                     if self.is_on_button(operator):
-                        self._found[operator] = y - 1
-                        return x, y - 1
+                        self._found[operator] = other
+                        return x, other
             for _ in range(WHEEL_STEPS):
                 self.press("WHEELDOWNMOUSE", x, sidebar.y + sidebar.height // 2)
             yield 3 * POLL_SECONDS

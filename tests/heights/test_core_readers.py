@@ -283,6 +283,7 @@ SRTM_SHAPES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.exhaustive if "S47" in name else ()) for name in SRTM_SHAPES])
 def test_srtm_tiles_of_every_size(tmp_path, name):
     shape = SRTM_SHAPES[name]

@@ -73,6 +73,7 @@ def figures(plan: TransferPlan, state: State) -> list:
     return [[*counts, int(controller.is_finished(plan, state))], rates, delays, controller.mean_difference(state), state.ended]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed, so the page's controller is not compared")
 @pytest.mark.parametrize("seeds", [range(15), pytest.param(range(15, 120), marks=pytest.mark.exhaustive)])
 def test_page_decides_like_python(tmp_path: Path, seeds: range):

@@ -195,6 +195,7 @@ def test_damaged_json_is_refused_or_still_a_manifest(data):
         assert isinstance(decode_manifest(bytes(content)), Manifest)
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(st.recursive(st.none() | st.booleans() | st.floats() | st.text(), lambda item: st.lists(item) | st.dictionaries(st.text(), item)))
 def test_other_json_is_refused(value):

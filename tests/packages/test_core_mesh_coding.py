@@ -58,6 +58,7 @@ def test_decoded_levels_are_the_encoded_ones(name):
     check_round_trip(MODELS[name])
 
 
+@pytest.mark.slow
 @given(st.integers(0, 10**6))
 @settings(max_examples=12)
 def test_any_triangles_survive(seed):

@@ -86,6 +86,7 @@ def describe(content: bytes, manifest: SimpleNamespace, missing: int = -1) -> li
     return levels
 
 
+@pytest.mark.slow
 @needs_node
 def test_the_page_decodes_the_same_arrays(tmp_path):
     meshes = [torus(has_materials=True), cube(), *(make_random_mesh(seed) for seed in range(2))]
@@ -96,6 +97,7 @@ def test_the_page_decodes_the_same_arrays(tmp_path):
         assert found == levels
 
 
+@pytest.mark.slow
 @needs_node
 def test_the_page_refuses_what_python_refuses(tmp_path):
     random = np.random.default_rng(0)

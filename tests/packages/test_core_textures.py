@@ -43,6 +43,7 @@ def built(small_images) -> BuiltTextures:
     return run_to_end(build_textures([make_source(), make_source((64, 64), "normal")], SETTINGS, DENSITY, 4))
 
 
+@pytest.mark.slow
 def test_bytes_add_up(built):
     assert built.increments.sizes.sum() == len(built.content)
     assert len(built.flips) == built.increments.state_count
@@ -50,6 +51,7 @@ def test_bytes_add_up(built):
     assert (np.diff(built.increments.measure_states(len(built.flips))) > 0).all()
 
 
+@pytest.mark.slow
 def test_same_sources_give_same_bytes(built):
     again = run_to_end(build_textures([make_source(), make_source((64, 64), "normal")], SETTINGS, DENSITY, 4))
     assert again.content == built.content and again.textures == built.textures
@@ -158,6 +160,7 @@ def test_finer_levels_and_higher_qualities_have_smaller_errors(coded):
     assert (sums[is_coded] < judge.measure(np.full_like(image, MISSING), 0)[0].sum()).all()  # before anything has come
 
 
+@pytest.mark.slow
 def test_sharpened_tiles_are_better_and_smaller_where_details_are_everywhere():
     noise = np.random.default_rng(2).normal(0.0, 30.0, (128, 128, 1))
     wave = 60.0 * np.sin(np.arange(128) / 10.0)[None, :, None] * np.ones((128, 1, 1))  # too long to be blurred by enlarging
@@ -299,6 +302,7 @@ def test_detail_that_no_image_shows_is_coded_once():
     assert 1 not in levels and max(levels) >= 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("tile_size", "finest", "finer"),
     [

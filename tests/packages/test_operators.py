@@ -87,6 +87,7 @@ def package(two_packages):
     return two_packages / "Bäll_chen"
 
 
+@pytest.mark.slow
 def test_a_folder_is_proposed_next_to_the_file_and_then_next_to_the_package_before(tmp_path):
     ball = textured_ball(4, "Bäll:1")
     ball.select_set(True)
@@ -150,6 +151,7 @@ def test_mirrors_must_be_urls(folder):
     assert not folder.exists()
 
 
+@pytest.mark.slow
 def test_script_builds_and_verifies(folder):
     textured_ball(8).scale = (1.0, 2.0, 3.0)
     scene = folder.parent / "bällchen.blend"

@@ -36,7 +36,6 @@ from textured_models import plane, torus
 
 pytestmark = [
     pytest.mark.once,
-    pytest.mark.slow,
     pytest.mark.usefixtures("fast_coding", "small_images"),
     pytest.mark.skipif(find_chromium() is None, reason=f"THE PAGE WAS NOT TESTED IN A BROWSER: it {SKIP_REASON}"),
 ]
@@ -116,6 +115,7 @@ def to_srgb(values: np.ndarray) -> np.ndarray:
     return np.where(values <= 0.0031308, 12.92 * values, 1.055 * np.maximum(values, 0.0) ** (1.0 / 2.4) - 0.055)
 
 
+@pytest.mark.slow
 def test_something_is_shown_soon_and_all_within_limit(page, tmp_path):
     random = np.random.default_rng(3)
     image = painted_image(448, 384, 2) + random.normal(0.0, 25.0, (384, 448, 3))
@@ -138,6 +138,7 @@ def test_something_is_shown_soon_and_all_within_limit(page, tmp_path):
     assert all(request.startswith((url, "data:")) for request in page.requests)
 
 
+@pytest.mark.slow
 def test_limit_is_for_the_first_picture_and_refining_goes_on(page, package):
     folder, manifest = package
     with run_server(folder, connection=ConnectionRate(((5.0, 12_000.0), (1.0, 120_000.0)))) as url:
@@ -156,6 +157,7 @@ def test_limit_is_for_the_first_picture_and_refining_goes_on(page, package):
         assert page.evaluate(f"[{MISSING} > 0, {STATUS}]") == [True, "Stopped at the time limit."]
 
 
+@pytest.mark.slow
 def test_size_on_screen_decides_what_is_loaded(page, package):
     folder, manifest = package
     read = "[farfield.loader.target, farfield.loader.shown, farfield.loader.measures.bytes]"
@@ -178,6 +180,7 @@ def test_size_on_screen_decides_what_is_loaded(page, package):
         assert page.evaluate(read)[:2] == [[len(manifest.levels) - 1, manifest.state_count - 1], len(manifest.levels) - 1]
 
 
+@pytest.mark.slow
 def test_another_visit_asks_for_nothing_that_has_come(page, package):
     with run_server(package[0]) as url:
         page.open(url)
@@ -198,6 +201,7 @@ def flat_image(*values: int) -> np.ndarray:
     return np.full((64, 64, 3), values, np.uint8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("maps", "shading", "opacity", "expected"),
     [
@@ -221,6 +225,7 @@ def test_maps_are_drawn(page, tmp_path, maps, shading, opacity, expected):
         assert value is None or np.abs(np.median(center[:, channel]) - value) <= 3.0, (channel, center.mean(axis=0))
 
 
+@pytest.mark.slow
 def test_light_of_rough_and_metallic_surfaces(page, tmp_path):
     """The right half of a plane is smooth metal, or metal next to plastic. A metal has no matte part, but reflects in its color."""
     half = np.zeros((64, 64, 3), np.uint8)
@@ -268,6 +273,7 @@ def test_pixels_are_those_of_level(shown, package, level, zoom):
     assert differences.mean() < 1.0
 
 
+@pytest.mark.slow
 def test_image_survives_loss_of_graphics_context(shown):
     before = read_capture(shown)
     shown.evaluate("window.lost = view.getContext('webgl2').getExtension('WEBGL_lose_context'); lost.loseContext()")
@@ -294,6 +300,7 @@ def test_keys_and_wheel_move_the_camera(shown):
     assert shown.evaluate(read) == [azimuth, elevation, zoom, height]
 
 
+@pytest.mark.slow
 def test_damage_is_found_and_repaired_from_mirror(page, package, tmp_path):
     folder, manifest = package
     files = {name: (folder / name).read_bytes() for name in ("manifest.json", MESH, TEXTURES)}
@@ -315,6 +322,7 @@ def test_damage_is_found_and_repaired_from_mirror(page, package, tmp_path):
             assert any(request.startswith(mirror) for request in page.requests)
 
 
+@pytest.mark.slow
 def test_other_servers_and_packages(page, package, tmp_path):
     folder, manifest = package
     files = {name: (folder / name).read_bytes() for name in ("manifest.json", MESH, TEXTURES)}
@@ -333,6 +341,7 @@ def test_other_servers_and_packages(page, package, tmp_path):
             page.wait_for(f"document.getElementById('status')?.textContent.includes('{message}')")
 
 
+@pytest.mark.slow
 def test_the_page_asks_no_server_but_its_own_and_the_mirrors(page, package, tmp_path):
     folder, _ = package
     with run_server(folder) as other, run_server(folder) as url:
@@ -351,6 +360,7 @@ def test_the_page_asks_no_server_but_its_own_and_the_mirrors(page, package, tmp_
         page.wait_for(f"{STATUS}?.includes('manifest.json')")
 
 
+@pytest.mark.slow
 def test_servers_that_are_set_up_wrong_are_named(page, package):
     folder, _ = package
     files = {path.name: path.read_bytes() for path in folder.iterdir()} | read_page()

@@ -74,6 +74,7 @@ def results(folder, resources) -> dict:
     return json.loads(lines[0].removeprefix("RESULTS "))
 
 
+@pytest.mark.slow
 def test_zip_contains_the_extension_and_nothing_else(archive):
     with zipfile.ZipFile(archive) as packed:
         names = packed.namelist()
@@ -137,6 +138,7 @@ def test_zip_names_the_copyright_holders_of_its_wheels_and_asks_for_no_network(a
     assert set(manifest["permissions"]) == {"files"}
 
 
+@pytest.mark.slow
 def test_enabling_registers_the_tab_and_disabling_removes_everything(results):
     first, second = results["enabled"]
     assert first == second and first

@@ -70,6 +70,7 @@ def test_medians_are_those_of_scipy():
     assert np.array_equal(_median_3x3(image), median_filter(image, 3, mode="nearest"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["uniform", "gradient"])
 @pytest.mark.parametrize("mode", ["auto", "border"])
 @pytest.mark.parametrize("shift", [0.0, pytest.param(2.0, marks=pytest.mark.exhaustive), 5.0])

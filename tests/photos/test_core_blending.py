@@ -45,6 +45,7 @@ def two_photographs(quick_merges):
 class TestSeams:
     """Photographs of different brightness on one surface."""
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("blending", ["level", "spline", "poisson", pytest.param("none", marks=pytest.mark.exhaustive)])
     def test_a_texture_that_fits_stays(self, blending):
         mesh, uvs = grid(12, lambda x, y: 0.1 * np.sin(2 * x) * np.cos(3 * y))

@@ -73,6 +73,7 @@ def test_small_and_overly_large_holes_keep_the_first_guess():
     assert (large[missing] == 0.5).all()
 
 
+@pytest.mark.slow
 def test_several_holes_are_restored_one_by_one():
     mesh, uvs = make_plane()
     holes = [disc(x, y, 0.05) for x in (0.2, 0.8) for y in (0.2, 0.8)]

@@ -30,6 +30,7 @@ pytestmark = pytest.mark.usefixtures("quick_merges")
 class TestMerge:
     """Whole merges."""
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("method", ["average", "paper"])  # test_core_blending has Best Photograph
     def test_the_texture_comes_back(self, method):
         mesh, uvs = grid(12, lambda x, y: 0.1 * np.sin(2 * x) * np.cos(3 * y))
@@ -41,6 +42,7 @@ class TestMerge:
         assert seen[margin:-margin, margin:-margin].all() and not (result.holes & seen).any()
         assert np.sqrt(np.mean((result.colors - texture)[seen] ** 2)) < 0.01
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("method", ["average", "best"])
     def test_progress_grows_with_each_photograph_and_in_every_stage(self, method):
         mesh, uvs = grid(4)
@@ -54,6 +56,7 @@ class TestMerge:
             count = len({step.fraction for step in steps if step.label == label})
             assert count >= (1 if label in ("Computing texels", "Sharpening") else 6), label
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         "method", ["best", pytest.param("average", marks=pytest.mark.exhaustive), pytest.param("paper", marks=pytest.mark.exhaustive)]
     )
@@ -91,6 +94,7 @@ class TestMerge:
         seen = result.source >= 0
         assert np.sqrt(np.mean((result.colors - expected)[seen] ** 2)) < 0.03
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("method", ["best", pytest.param("average", marks=pytest.mark.exhaustive)])
     def test_a_box_of_twelve_triangles_gets_a_texture(self, method):
         mesh, uvs = box()

@@ -149,6 +149,7 @@ class TestMerge:
         assert np.abs(result.colors[SIZE:] - [0.1, 0.8, 0.1]).max() < 0.03
 
 
+@pytest.mark.slow
 @settings(max_examples=4, deadline=None)
 @given(st.integers(0, 1000))
 def test_holes_are_filled_from_the_surface_and_not_from_the_other_page(seed):

@@ -49,6 +49,7 @@ def run_refine(mesh, photographs, chosen, is_free=False):
 class TestMatching:
     """Displacements between a photograph and the others."""
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("x, y", [(0.0, 0.0), (1.4, -0.6), (-9.0, 6.5)])
     def test_a_photograph_that_was_shifted(self, x, y):
         mesh, _, photographs = shoot(gains=[1.0, 0.8, 1.2, 1.0])
@@ -93,6 +94,7 @@ class TestRefine:
         [found] = run_refine(mesh, photographs, [2], is_free=True)
         assert distance_in_pixels(mesh, found.camera, truth) < 0.15 < 1.0 < distance_in_pixels(mesh, photographs[2].camera, truth)
 
+    @pytest.mark.slow
     def test_all_cameras_agree_afterwards_far_from_the_origin(self):
         mesh, _, photographs = shoot(3)
         truth = [each.camera for each in photographs]
@@ -162,6 +164,7 @@ class TestAlignment:
         without, aligned = (self.score(photographs, mesh, uvs, texture, alignment=on) for on in (False, True))
         assert aligned < 1.05 * without + 1e-3
 
+    @pytest.mark.slow
     def test_details_are_sharper_if_cameras_are_wrong(self):
         mesh, uvs, photographs = shoot(6)
         texture, random = detailed_texture(), np.random.default_rng(1)

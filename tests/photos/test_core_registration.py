@@ -68,6 +68,7 @@ def test_exact_pairs_give_the_camera(count, is_lens_known, is_flat):
     assert distances.max() < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_lens_known", [False, True])
 def test_six_noisy_pairs_are_enough(is_lens_known):
     """With noise of 1 px per coordinate, the median camera errs by at most 1.5 px elsewhere."""
@@ -80,6 +81,7 @@ def test_six_noisy_pairs_are_enough(is_lens_known):
     assert np.median(errors) < 1.5, errors
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("count", "is_lens_known"), [(7, False), pytest.param(10, False, marks=pytest.mark.exhaustive), (6, True)])
 def test_a_wrong_pair_is_found(count, is_lens_known):
     random = np.random.default_rng(2)

@@ -90,6 +90,7 @@ def test_texture_maps_mesh_and_report_are_written(folder, extension):
     assert len(item.data.polygons) == 200 and item.data.materials
 
 
+@pytest.mark.slow
 def test_stages_are_pictures(folder):
     run(*inputs(folder), "--texture", folder / "t.png", "--stages", folder / "stages")
     names = sorted(path.name for path in (folder / "stages").iterdir())
@@ -111,6 +112,7 @@ def test_photographs_of_one_name_in_several_folders_have_pictures_of_their_own(f
     assert {path.name for path in (folder / "s").glob("used.*")} == {f"used.a.0001{each}.png" for each in ("", "_2", "_3")}
 
 
+@pytest.mark.slow
 def test_cameras_are_refined(folder):
     mesh, uvs = grid(10, lambda x, y: 0.1 * np.sin(2 * x + y))
     cameras = ring(3)

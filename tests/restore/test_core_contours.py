@@ -40,6 +40,7 @@ OUTLINES = {
 class TestContours:
     """Ends of edges at a hole, and the curves that join them."""
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("name", OUTLINES)
     def test_an_outline_continues(self, name):
         image = paint(OUTLINES[name])

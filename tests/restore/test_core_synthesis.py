@@ -88,6 +88,7 @@ class TestKnownAnswers:
         assert means == pytest.approx(expected, abs=0.02)
         assert result.pixels[mask].std(axis=0) == pytest.approx(image[mask].std(axis=0), rel=0.3)
 
+    @pytest.mark.slow
     def test_the_automatic_split_has_both_gradient_and_texture(self):
         """Figure 15: synthesis by pixels alone loses the gradient, diffusion alone loses the texture."""
         y, x = np.mgrid[:140, :160].astype(np.float32)
@@ -137,6 +138,7 @@ class TestKnownAnswers:
 class TestInvariants:
     """What holds for every image."""
 
+    @pytest.mark.slow
     @settings(max_examples=5)
     @given(st.integers(0, 2**31), st.sampled_from(ALL_METHODS), st.integers(1, 5), st.booleans(), st.integers(1, 4))
     def test_known_pixels_stay_and_others_are_within_their_range(self, seed, method_and_order, levels, tileable, channels):

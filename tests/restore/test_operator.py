@@ -39,6 +39,7 @@ def test_the_result_is_a_new_packed_image_and_the_original_is_unchanged(tmp_path
     assert np.array_equal(read(bpy.data.images["Straße 写真 restored"]), restored), "unused results are saved as well"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("is_float", "color_space"),
     [(False, "sRGB"), (False, "Non-Color"), (False, "Linear Rec.709"), (True, "Non-Color"), (True, "Linear Rec.709")],

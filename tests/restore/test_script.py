@@ -385,6 +385,7 @@ def test_cancelling_leaves_nothing(folder, monkeypatch):
     assert sorted(folder.rglob("*")) == before
 
 
+@pytest.mark.slow
 def test_the_exit_code_and_the_one_line_of_a_truncated_file(folder):
     content = (folder / "image.png").read_bytes()
     (folder / "image.png").write_bytes(content[: len(content) // 2])

@@ -113,6 +113,7 @@ def test_an_error_after_some_outputs_names_them(script, tmp_path):
         assert sorted(path for path in (tmp_path / what).rglob("*") if path.is_file()) == sorted(paths)
 
 
+@pytest.mark.slow
 def test_names_do_not_break_lines(script):
     names, report, wrong_input = run(script, ["names"], ["json"], ["input"])
     assert (names.stdout, names.stderr) == ('"line break \ufffd": 2 quads.\n', "Skipped: line break \ufffd (no faces).\n")
@@ -132,6 +133,7 @@ def test_nobody_reads_the_result(script, flags):
     assert (outcome.returncode, outcome.stderr) == (0, "")
 
 
+@pytest.mark.slow
 @pytest.mark.once
 @pytest.mark.skipif(os.name == "nt", reason="Windows has neither")
 def test_standard_output_that_is_closed_or_full(script):
@@ -146,6 +148,7 @@ def test_standard_output_that_is_closed_or_full(script):
         assert outcome.stderr.count("\n") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.once
 @pytest.mark.skipif(os.name == "nt", reason="Windows sends no signals to one process")
 def test_signals_cancel_and_clean_up(script, tmp_path):
@@ -190,6 +193,7 @@ def test_the_next_run_cleans_up_after_a_killed_one(script, tmp_path):
 class TestReport:
     """--report on devices, pipes and open files."""
 
+    @pytest.mark.slow
     def test_standard_output(self, script, tmp_path):
         expected = '{\n  "number": 1\n}\ndone\n'
         outcomes = run(script, ["report", "--path", "/dev/stdout"], ["report", "--path=/dev/fd/1"])

@@ -65,6 +65,7 @@ def run(tmp_path):
     return run
 
 
+@pytest.mark.slow
 def test_a_file_that_crashed_once_runs_again_in_a_new_process(run):
     done, log = run(1, test_a=LONGER.replace("FAILING", "[]"))
     assert done.returncode == 0, done.stdout + done.stderr

@@ -57,6 +57,7 @@ def render(item: bpy.types.Object, angle: float, center: np.ndarray, radius: flo
         return work.render()
 
 
+@pytest.mark.slow
 def test_a_rotated_instance_under_a_rotated_sun_looks_the_same(level):
     center, radius = bounding_sphere([level])
     sun = bpy.data.objects["Sun"]
@@ -98,6 +99,7 @@ def test_the_nodes_of_unlinked_suns_are_muted(level):
     assert muted == {label: number > 0 for number in range(SUNS) for label in sun_node_labels(number)}
 
 
+@pytest.mark.slow
 def test_its_times_of_day_are_rendered_by_another_process(forest_file):
     steps = []
     sheet = run_to_end(demo_forest.render_day(forest_file), steps.append)

@@ -68,6 +68,7 @@ def test_a_scheduler_without_dask_installed_is_an_error(monkeypatch):
         pass
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_does_not_answer_is_named(monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr(executors, "CONNECT_SECONDS", 0.1)

@@ -15,6 +15,7 @@ pytestmark = pytest.mark.usefixtures("empty_scene")
 UTM = np.array([500_000.0, 120.0, 4_500_000.0])  # y upwards, as Blender expects of .obj files
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("script", "flags"),
     [

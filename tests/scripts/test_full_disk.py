@@ -64,6 +64,7 @@ farfield.unregister()
 """
 
 
+@pytest.mark.slow
 def test_every_writer_at_every_tenth_of_its_file(tmp_path):
     folder = tmp_path / "disk"
     folder.mkdir()
@@ -78,6 +79,7 @@ def test_every_writer_at_every_tenth_of_its_file(tmp_path):
     assert sorted(path.name for path in folder.iterdir()) == ["a.blend", "a.glb", "a.json", "a.obj", "a.png", "b.png"]
 
 
+@pytest.mark.slow
 def test_the_script_ends_with_code_2_and_keeps_the_old_scene(empty_scene, tmp_path):
     import resource
 

@@ -98,6 +98,7 @@ def is_refused(command: str, folder: Path, paths: dict[str, Path]) -> str:
     return message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", COMMANDS)
 def test_no_output_of_any_script_is_or_contains_or_lies_in_an_input(command, folder, extension):
     outputs, inputs = path_arguments(command)

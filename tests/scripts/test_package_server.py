@@ -250,6 +250,7 @@ def test_long_headers_and_bodies_are_refused(url):
         assert b"200 OK" not in exchange(url, content + b"\r\n\r\n")
 
 
+@pytest.mark.slow
 def test_client_that_takes_nothing_is_closed(tmp_path):
     write_opaque_package(tmp_path, textures_size=30_000_000)
     with run_server(tmp_path, limits=ClientLimits(send_seconds=0.5)) as url:

@@ -45,6 +45,7 @@ def test_pairs_are_unit_directions_above_the_horizon_if_requested(upper):
     np.testing.assert_array_equal(held_out_pairs(24, upper)[1], suns)
 
 
+@pytest.mark.slow
 def test_a_copy_of_the_source_gets_the_best_score(ball_and_level):
     ball, level = ball_and_level
     copy = ball.copy()

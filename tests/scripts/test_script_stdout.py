@@ -61,6 +61,7 @@ def outcomes(tmp_path_factory) -> dict[str, subprocess.CompletedProcess]:
     return {"": alone} | {" ".join(run): outcome for run, outcome in zip(runs, run_script(script, *runs, **options), strict=True)}
 
 
+@pytest.mark.slow
 def test_stdout_is_the_result_line(outcomes):
     outcome = outcomes[""]
     assert (outcome.returncode, outcome.stdout) == (0, "1 cube: größe 樹\n"), outcome.stderr

@@ -24,6 +24,7 @@ def count_data() -> list[int]:
     return [len(blocks) for blocks in (bpy.data.meshes, bpy.data.materials, images, bpy.data.collections, bpy.data.objects)]
 
 
+@pytest.mark.slow
 def test_the_last_level_is_a_billboard_cloud(tmp_path, capsys):
     ball = textured_ball(6, "Ball")
     ball.location, ball.scale, ball.rotation_euler = (5.0, 0.0, 1.0), (2.0, 2.0, 2.0), (0.5, 0.0, 0.0)
@@ -51,6 +52,7 @@ def test_deformed_objects_have_no_billboard_cloud(capsys):
     assert "Skipped: the billboard cloud of Ball (it is deformed)." in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_cloud_of_too_few_quads_is_left_out(capsys):
     textured_ball(5, "Ball")
     assert len(make(cloud_quads=2)) == 3

@@ -139,6 +139,7 @@ def test_positions_and_normals_are_those_with_the_same_texture_coordinates(fine)
     assert np.allclose(surface.find_normals(points, uvs, islands), normals[triangles], atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.exhaustive)])
 def test_no_place_of_a_level_of_a_closed_mesh_is_much_farther_than_the_others(seed):
     ball = build_ball(np.random.default_rng(seed))

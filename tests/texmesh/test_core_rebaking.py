@@ -209,6 +209,7 @@ def test_normals_stay_where_parts_of_an_image_are_used_twice_and_are_named():
     np.testing.assert_allclose(2.0 * image_of(found, "normalTexture") - 1.0, expected, atol=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["PNG", "gray", "JPEG", "flat"])
 def test_images_never_need_more_bytes_than_those_of_the_original(kind):
     smooth = np.linspace(0.0, 255.0, SIDE).astype(np.uint8)

@@ -106,6 +106,7 @@ def test_no_point_of_a_level_is_farther_than_its_distance(fine, level, refitted)
         assert largest <= comparison.bound_distance(mesh) <= 1.25 * largest
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_samples")
 @pytest.mark.parametrize("is_spiked", [pytest.param(False, marks=pytest.mark.exhaustive), True])
 def test_levels_that_the_refit_made_worse_are_those_of_the_simplification(monkeypatch, is_spiked):

@@ -112,6 +112,7 @@ def test_units_do_not_matter(unit):
     np.testing.assert_allclose(found.ranges, expected.ranges, rtol=1e-6)
 
 
+@pytest.mark.slow
 @settings(max_examples=3)
 @given(seed=st.integers(0, 10**6))
 def test_rotation_position_and_order_of_vertices_do_not_matter(seed):

@@ -70,6 +70,7 @@ def check_closed(triangles: np.ndarray) -> None:
     np.testing.assert_array_equal(*(np.sort(pairs[:, 0] * (triangles.max() + 1) + pairs[:, 1]) for pairs in (edges, edges[:, ::-1])))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "target"),
     [("optimized", 24), *((kind, 8) for kind in ("optimized", "quadrics", "scales", "given"))]
@@ -225,6 +226,7 @@ def test_holes_of_three_edges_are_found():
     assert [tuple(np.roll(corners, turn)) for turn in range(3)].count(tuple(vertices)) == 1
 
 
+@pytest.mark.slow
 def test_small_holes_are_closed_before_they_become_slits():
     """Only the 25 narrow holes of a plate are closed, and not the four wide ones, although all could stay."""
     is_solid = np.ones((41, 41, 4), bool)

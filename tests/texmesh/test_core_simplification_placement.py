@@ -1,6 +1,7 @@
 """Quadrics of positions at vertices, and moves of kept vertices to their minima."""
 
 import numpy as np
+import pytest
 from scipy.spatial import ConvexHull
 
 from farfield.addon.core.geometry.distance import closest_on_mesh
@@ -43,6 +44,7 @@ def make_sphere(scale: float) -> TexturedMesh:
     return build_textured_mesh(TriangleMesh(vertices, triangles.astype(np.int32)), uvs)
 
 
+@pytest.mark.slow
 def test_vertices_move_to_where_the_surface_is_nearest_on_both_sides():
     """Levels whose vertices stay on a sphere are inside of it, and farther from it."""
     for fine in (make_sphere(0.0), make_sphere(0.1)):

@@ -83,6 +83,7 @@ def test_equal_levels_switch_at_the_nearest_distance():
     assert switch.difference == 0.0 and switch.pixels == 128 and switch.limit == "nearest"
 
 
+@pytest.mark.slow
 def test_levels_look_the_same_where_they_switch_and_differ_nearer():
     images = open_images(32, 16, 8, 5)
     switches = compare_images(images)

@@ -30,6 +30,7 @@ def test_a_run_tells_the_time_of_its_meshes_and_narrows_that_of_others():
     assert shortest < 24.0 < longest < 7.0 * shortest
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("empty_scene", "few_samples")
 def test_triangles_are_those_that_levels_are_made_of():
     ball = textured_ball(8)

@@ -202,6 +202,7 @@ PROPERTIES = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", PROPERTIES)
 def test_materials_are_those_of_blenders_exporter(change):
     nodes = Nodes()

@@ -135,6 +135,7 @@ def test_no_preview_starts_in_scripts(ball):
     assert not preview.current.is_running
 
 
+@pytest.mark.slow
 def test_the_progress_names_the_object_and_never_decreases(ball):
     settings = TexmeshSettings(levels="ratios", ratios="0.3", views=1, max_image=16)
     steps = []

@@ -94,6 +94,7 @@ def make(**values) -> list[bpy.types.Object]:
     return levels.levels
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tube", ["modifier", pytest.param("parent", marks=pytest.mark.exhaustive)], indirect=True)
 def test_levels_follow_their_armature(tube, capsys):
     rig = tube.parent

@@ -99,6 +99,7 @@ def test_one_file_with_all_levels(ball):
     assert len(document["images"]) == 1 and [material["name"] for material in document["materials"]] == ["Paint"]
 
 
+@pytest.mark.slow
 def test_levels_have_smaller_images_and_normals_for_their_surface(folder):
     """The images of all maps: colors, and normals, which the exporter's tangents turn into those of the level."""
     item = textured_ball(8)
@@ -146,6 +147,7 @@ def test_several_materials_become_primitives(folder):
     np.testing.assert_allclose(factors, [[1.0] * 4, [1.0] * 4, [0.1, 0.4, 0.6, 1.0]], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_answers_of_judges_move_levels(ball):
     """Two judges who need twice the distances of FLIP: the same levels switch twice as far away. A flag counts more than answers."""
     files = []
@@ -245,6 +247,7 @@ def add_lattice(item):
     item.modifiers.new("Cage", "LATTICE").object = bpy.context.object
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [

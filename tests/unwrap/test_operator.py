@@ -169,6 +169,7 @@ def test_a_painted_vertex_group_gets_more_texels():
     assert uv_maps.read_metrics(item.data)["density_ratio"] == pytest.approx(3.0, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("importance", ["camera", "cameras"])
 def test_faces_visible_to_the_camera_get_more_texels(importance):
     item = add_sphere(segments=16, rings=8)

@@ -105,6 +105,7 @@ def test_margins_are_kept_in_pixels_and_proportions_on_any_texture(size, margin)
     assert (high - low).prod(axis=1).sum() > 0.4 * size[0] * size[1]
 
 
+@pytest.mark.slow
 def test_islands_go_to_further_tiles_at_a_texel_density():
     _, _, low, high = pack_random_rectangles(Texture(size=(1024, 1024), max_tiles=20, density=900.0))
     tiles = np.floor(low / 1024.0).astype(int)
@@ -124,6 +125,7 @@ def test_a_texel_density_that_does_not_fit_is_lowered():
     assert dense.tile_count == 1 and dense.density == fitting.density < 512.0
 
 
+@pytest.mark.slow
 def test_without_a_texel_density_all_tiles_are_filled():
     one, four = (pack_random_rectangles(Texture(size=(1024, 1024), max_tiles=count))[0] for count in (1, 4))
     assert four.tile_count == 4 and 1.7 < four.density / one.density < 2.2
@@ -173,6 +175,7 @@ def test_a_chart_is_turned_by_its_world_up():
     assert turn_upright(SQUARE, SQUARE_TRIANGLES, floor) is None
 
 
+@pytest.mark.slow
 def test_tiles_are_not_used_for_a_large_island_alone():
     """One island fills a tile, so that the others, which are small, cannot get larger: they fit into a second tile."""
     sides = [[1.0, 1.0]] + [[0.2, 0.15]] * 20

@@ -50,6 +50,7 @@ def test_a_dome_has_little_stretch():
     assert signed_areas(uv[chart.triangles]).sum() == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_the_balance_decides_between_stretch_needles_and_even_sizes():
     """The opening of a nearly closed sphere is too short for the map."""
     chart = chart_of(dome(24, 0.85))

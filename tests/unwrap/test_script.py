@@ -40,6 +40,7 @@ def run(*arguments):
     return unwrap.main([str(argument) for argument in arguments], command_line.ProgressLine())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("extension", [".obj", ".glb", ".blend"])
 def test_every_output_format_contains_the_uv_map(head, extension):
     out, report = head.with_name(f"out{extension}"), head.with_name("report.json")
@@ -136,6 +137,7 @@ def test_files_without_a_visible_mesh(head):
         run(head.with_name("hidden.blend"), "--out", head.with_name("out.blend"))
 
 
+@pytest.mark.slow
 def test_what_an_output_lacks_is_named(head):
     unwrap.scene_files.open_scene(head)
     item = bpy.context.scene.objects[0]

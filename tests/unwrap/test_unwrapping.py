@@ -19,6 +19,7 @@ def unwrap_mesh(mesh: TriangleMesh, seams: np.ndarray = NO_SEAMS, **settings) ->
     return run_to_end(unwrap(mesh, np.arange(count), seams, np.zeros(count), UnwrapSettings(**settings)))
 
 
+@pytest.mark.slow
 def test_a_disk_that_is_distorted_in_one_piece_is_cut_only_with_further_cuts():
     mesh = dome(32, 0.82)
     cut, uncut = unwrap_mesh(mesh), unwrap_mesh(mesh, further_cuts=False)
@@ -27,6 +28,7 @@ def test_a_disk_that_is_distorted_in_one_piece_is_cut_only_with_further_cuts():
     assert cut.metrics.flips == cut.metrics.overlaps == uncut.metrics.flips == uncut.metrics.overlaps == 0
 
 
+@pytest.mark.slow
 def test_a_nearly_closed_surface_is_cut_only_with_further_cuts():
     mesh = sphere(16)
     nearly_closed = TriangleMesh(mesh.vertices, mesh.triangles[2:])

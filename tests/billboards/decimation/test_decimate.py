@@ -76,6 +76,7 @@ def test_flat_sheet_becomes_few_triangles():
     assert len(decimated.triangles) <= 4
 
 
+@pytest.mark.slow
 def test_triangles_of_sphere_follow_from_curvature():
     """A triangle on both sides of a sphere may have edges of sqrt(12 r e), so an area of 4 pi r^2 needs about 2.4 r / e triangles."""
     vertices, triangles = sphere(5)

@@ -116,6 +116,7 @@ def test_split_views_covers_all_views_in_order_and_uses_all_slots(missing, slots
     assert len(shards) == len(missing) or len(shards) % slots == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("word", [pytest.param("serial", marks=pytest.mark.exhaustive), "processes:2"])
 def test_every_view_is_rendered_once(bake, undisturbed, word):
     fractions = []
@@ -134,6 +135,7 @@ def test_a_finished_bake_starts_no_worker(bake):
     assert bake.log("start") == started
 
 
+@pytest.mark.slow
 def test_only_damaged_and_missing_views_are_rendered_again(bake, undisturbed):
     run_to_end(bake.steps())
     damaged = bytearray(bake.stores[1].path(4).read_bytes())
@@ -156,6 +158,7 @@ def test_the_remaining_views_of_a_crashed_worker_are_retried(bake, undisturbed):
     assert bake.read_views() == undisturbed
 
 
+@pytest.mark.slow
 def test_a_second_crash_ends_the_bake_and_keeps_finished_views(bake, undisturbed):
     with pytest.raises(FarfieldError, match=r"crashed twice at the same views \(killed by signal 9\).*resume with fewer processes"):
         run_to_end(bake.steps(fault=CRASH))
@@ -171,6 +174,7 @@ def test_the_error_message_of_a_worker_is_passed_on_unchanged(bake):
     assert bake.stores[0].exists(0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "error", "message"),
     [(RAISE, RuntimeError, "in a worker process, ZeroDivisionError: Null ist null"), (EXHAUST, FarfieldError, "ran out of memory")],
@@ -184,6 +188,7 @@ def test_an_exception_in_a_worker_is_passed_on_without_a_retry(bake, fault, erro
     assert [bake.stores[0].exists(view) for view in range(VIEWS)] == [True] * 3 + [False] * 3
 
 
+@pytest.mark.slow
 def test_cancelling_ends_the_workers_and_keeps_finished_views(bake, undisturbed):
     steps = bake.steps(fault=HANG)
     started = time.monotonic()
@@ -201,6 +206,7 @@ def test_cancelling_ends_the_workers_and_keeps_finished_views(bake, undisturbed)
     assert bake.read_views() == undisturbed
 
 
+@pytest.mark.slow
 def test_a_later_run_in_the_same_folder_takes_over(bake, undisturbed):
     first = bake.steps(fault=HANG)
     for _ in first:

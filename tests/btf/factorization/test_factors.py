@@ -116,6 +116,7 @@ def test_a_zero_matrix_has_finite_factors_with_product_zero():
     assert np.isfinite(factors.weights).all() and np.isfinite(factors.basis).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row_count", [300, 9000])
 def test_scalar_factorization_matches_the_general_one(row_count):
     """Also with unknown entries and with sampled rows (9,000 are more than a sample)."""
