@@ -8,7 +8,7 @@ import re
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -28,6 +28,7 @@ from chromium import SKIP_REASON, Page, find_chromium, run_chromium
 from farfield.addon.core.imaging.mipmaps import build_mipmaps, measure_footprints, sample_mipmaps
 from farfield.addon.core.imaging.raster import locate_pixels
 from farfield.addon.core.packages.files import read_page
+from farfield.addon.core.packages.local_server import LocalServer
 from farfield.addon.core.packages.manifest import MESH, TEXTURES, Manifest
 from farfield.addon.core.packages.shading import Shading
 from lib.connection_rate import ConnectionRate
@@ -178,6 +179,14 @@ def test_size_on_screen_decides_what_is_loaded(page, package):
         page.evaluate("farfield.orbit.set({zoom: 20})")
         page.wait_for(f"{FINISHED} && {STATUS} === 'Complete.'")
         assert page.evaluate(read)[:2] == [[len(manifest.levels) - 1, manifest.state_count - 1], len(manifest.levels) - 1]
+
+
+def test_the_server_of_view_in_browser_shows_the_whole_package(page, package):
+    with closing(LocalServer(package[0])) as server:
+        page.open(server.url, 640, 640)
+        page.wait_for(f"{FINISHED} && {MISSING} === 0")
+        assert page.evaluate(STATUS) == "Complete." and page.messages == []
+        assert page.evaluate("farfield.loader.shown") == len(package[1].levels) - 1
 
 
 @pytest.mark.slow
