@@ -181,7 +181,7 @@ def test_size_on_screen_decides_what_is_loaded(page, package):
         assert page.evaluate(read)[:2] == [[len(manifest.levels) - 1, manifest.state_count - 1], len(manifest.levels) - 1]
 
 
-def test_the_server_of_view_in_browser_shows_the_whole_package(page, package):
+def test_the_local_server_sends_all_of_a_package(page, package):
     with closing(LocalServer(package[0])) as server:
         page.open(server.url, 640, 640)
         page.wait_for(f"{FINISHED} && {MISSING} === 0")
