@@ -38,8 +38,21 @@ DEFAULTS = {
     "Color Noise": 0.8,  # variation of the brightness by noise
     "Roughness": 0.9,
 }
-FOREST_DEFAULTS = {  # in forests steep ground is foliage
-    "Rock": (0.045, 0.075, 0.018, 1.0), "Snow": (0.06, 0.09, 0.025, 1.0), "Sand": (0.12, 0.105, 0.05, 1.0)
+MEADOW, DRY_GRASS, RED_ROCK, DESERT_SAND = (
+    (0.09, 0.12, 0.035, 1.0),
+    (0.2, 0.16, 0.075, 1.0),
+    (0.3, 0.135, 0.07, 1.0),
+    (0.5, 0.34, 0.19, 1.0),
+)
+DEFAULTS_BY_TERRAIN = {  # Other values than DEFAULTS.
+    "forest": {  # Steep ground is foliage.
+        "Rock": (0.045, 0.075, 0.018, 1.0), "Snow": (0.06, 0.09, 0.025, 1.0), "Sand": (0.12, 0.105, 0.05, 1.0)
+    },
+    "alps": {"Rock": (0.2, 0.185, 0.17, 1.0), "Sand": (0.06, 0.09, 0.03, 1.0), "Rock Slope": 0.8},
+    "hills": {"Snow": MEADOW, "Sand": (0.055, 0.085, 0.025, 1.0), "Rock Slope": 0.62},
+    "canyon": {"Rock": RED_ROCK, "Grass": DRY_GRASS, "Snow": DRY_GRASS, "Sand": (0.36, 0.2, 0.11, 1.0)},
+    "mesas": {"Rock": RED_ROCK, "Grass": (0.34, 0.2, 0.1, 1.0), "Snow": DRY_GRASS, "Sand": (0.42, 0.24, 0.13, 1.0)},
+    "dunes": {"Rock": (0.46, 0.3, 0.16, 1.0), "Grass": DESERT_SAND, "Snow": DESERT_SAND, "Sand": DESERT_SAND, "Color Noise": 0.3},
 }  # fmt: skip
 
 
@@ -80,11 +93,11 @@ class GroundImage:
 
 
 def create_terrain_material(
-    name: str, root: bpy.types.Object, low: float, high: float, ground_image: GroundImage | None = None, is_forest: bool = False
+    name: str, root: bpy.types.Object, low: float, high: float, ground_image: GroundImage | None = None, terrain: str = ""
 ) -> bpy.types.Material:
     """Create a material for terrain below `root`, most of which lies between the heights `low` and `high`, scene units above the root.
 
-    All colors and numbers are inputs of its node group. A `ground_image` replaces all ground colors.
+    All colors and numbers are inputs of its node group. A `ground_image` replaces all ground colors. terrain: its kind.
 
     Raises:
         FileError: the ground image cannot be read.
@@ -102,7 +115,7 @@ def create_terrain_material(
     )  # fmt: skip
     builder.connect(grain_position, grain.inputs["Vector"])
     group = builder.node("ShaderNodeGroup", {"node_tree": _ensure_ground_group(), "width": 200.0})
-    values = DEFAULTS | (FOREST_DEFAULTS if is_forest else {})
+    values = DEFAULTS | DEFAULTS_BY_TERRAIN.get(terrain, {})
     for socket, value in values.items():
         group.inputs[socket].default_value = value
     show_color(material, values["Grass"])

@@ -11,7 +11,14 @@ in_terrain, in_boxes, in_detail = (partial(setting, group=group) for group in (T
 for_spheres, for_forest, for_heights = (partial(in_terrain, used_if={"terrain": (kind,)}) for kind in ("spheres", "forest", "heights"))
 for_files = partial(in_terrain, used_if={"terrain": ("heights", "volume", "forest")})
 MIN_RESOLUTION_PER_THRESHOLD = 8  # voxels; with a larger threshold a box could leave the next coarser one
-TERRAINS = {
+LANDSCAPES = {
+    "alps": Choice("Alps", "High mountains with valleys that branch into gullies"),
+    "hills": Choice("Hills", "Rounded hills with brooks between them"),
+    "canyon": Choice("Canyon", "A plateau that rivers have cut into, down through layers of hard and soft rock"),
+    "mesas": Choice("Mesas", "Table mountains with cliffs above slopes of scree"),
+    "dunes": Choice("Dunes", "Sand that the wind has piled up, gentle on its side and steep behind"),
+}
+TERRAINS = LANDSCAPES | {
     "cascades": Choice("Cascades", "Ridged mountains with overhangs, arches and caves"),
     "islands": Choice("Islands", "Layers of floating rocks"),
     "spheres": Choice("Spheres", "Spheres of several sizes, added and subtracted"),
@@ -23,6 +30,7 @@ TERRAINS = {
     "forest": Choice("Forest", "Copies of a voxel model from a file, scattered over hills"),
     "heights": Choice("Heights", "A height map from a file: an image, an elevation model or an array"),
 }
+for_landscapes = partial(in_terrain, used_if={"terrain": tuple(LANDSCAPES)})
 SURFACES = {
     "smooth": Choice("Smooth", "Surface nets: vertices lie where the density is 0"),
     "blocky": Choice("Blocky", "Cuberille: the faces of the voxels, which Smoothing rounds off"),
@@ -68,6 +76,8 @@ class ClipboxSettings(Settings):
     sphere_height: float = for_spheres(
         60.0, "Maximum distance of the largest spheres' centers above and below z = 0", minimum=0.0, maximum=1e6, unit=Unit.LENGTH
     )
+    ruggedness: float = for_landscapes(1.0, "Factor of heights", minimum=0.1, maximum=3.0)
+    erosion: float = for_landscapes(1.0, "Factor of the depth of gullies", minimum=0.0, maximum=2.0)
     seed: int = in_terrain(0, "Random seed; every value gives a different terrain of the same kind", minimum=0, maximum=2**31 - 1)
     scale: float = in_terrain(1.0, "Size factor of all terrain features", minimum=1e-3, maximum=1e3)
     voxel_size: float = in_boxes(1.0, "Side of the smallest voxels", minimum=1e-4, maximum=1e4, unit=Unit.LENGTH)

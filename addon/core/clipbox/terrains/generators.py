@@ -18,6 +18,7 @@ from .forest import build_forest
 from .formulas import Formula
 from .grids import DensityFunction, Grid
 from .heights import build_heights
+from .landscapes import LANDSCAPES, build_landscape
 from .noise import fbm
 from .spheres import SphereField, csg_density, find_touching_spheres
 from .volume_terrain import build_volume
@@ -169,6 +170,7 @@ def _preset(formula: str) -> Builder:
 
 
 BUILDERS: dict[str, Builder] = {
+    **dict.fromkeys(LANDSCAPES, lambda source, _readers: build_landscape(source)),
     "cascades": build_cascades,
     "islands": build_islands,
     "spheres": build_spheres,

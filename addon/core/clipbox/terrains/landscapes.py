@@ -1,0 +1,146 @@
+"""Landscapes: heights of the ground as nature shapes it, with rock faces that overhang.
+
+Lengths are meters at the scale 1. The ground is a function of x and y with its slopes, from which the distance to the surface follows. On
+steep ground, noise in three dimensions breaks it into ledges and overhangs.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..settings import ClipboxSettings
+from .grids import DensityFunction, Grid
+from .height_noise import Gullies, Heights, carve_gullies, resolve, sum_octaves
+from .noise import fbm
+
+SEEDS = 128  # Of each terrain.
+MORE, WARPS, GULLIES, BUMPS, LEDGES = 20, 40, 60, 80, 100  # Added to the seed, so that octaves of different noise are independent.
+ROCK_STEEPNESS, ROCK_BLEND = 0.75, 0.5  # The slope from which on ground is rock, and how much steeper all of it is.
+LEDGE_WAVELENGTH, LEDGE_OCTAVES, LEDGE_DEPTH = 18.0, 4, 3.6  # On rock.
+BUMP_WAVELENGTH, BUMP_OCTAVES, BUMP_HEIGHT = 24.0, 5, 0.6  # Everywhere.
+DUNES = (240.0, 17.0), (75.0, 2.6)  # Wavelengths and heights of large and small ones.
+DUNE_WARP = 2.4  # Of their crests, in radians of their waves.
+DUNE_SKEW = 0.75  # From symmetric waves, 0, to vertical slip faces, 1.
+
+Noise = Callable[[np.ndarray, np.ndarray], Heights]
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What the settings say about a landscape.
+
+    Attributes:
+        seed: of its noise.
+        ruggedness: factor of heights.
+        erosion: factor of the depth of gullies.
+    """
+
+    seed: int
+    ruggedness: float
+    erosion: float
+
+
+Ground = Callable[[np.ndarray, np.ndarray, float, Shape], Heights]  # Of positions (X, Y) and the spacing of samples.
+
+
+def alps(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
+    """Return high mountains with valleys that branch into gullies."""
+    massifs = warp(lambda x, y: sum_octaves(x, y, spacing, 30_000.0, 2, shape.seed), x, y, spacing, 12_000.0, 1_270.0, shape.seed + WARPS)
+    gullies = Gullies(7_000.0, 9, 0.1 * shape.erosion, 0.87, 0.3)
+    return carve_gullies(massifs.scale(1_060.0 * shape.ruggedness), x, y, spacing, gullies, shape.seed + GULLIES)
+
+
+def hills(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
+    """Return rounded hills with brooks between them."""
+    ground = warp(lambda x, y: sum_octaves(x, y, spacing, 2_400.0, 3, shape.seed, 0.4), x, y, spacing, 2_500.0, 177.0, shape.seed + WARPS)
+    gullies = Gullies(900.0, 5, 0.05 * shape.erosion, 0.75, 0.25)
+    return carve_gullies(ground.scale(78.0 * shape.ruggedness), x, y, spacing, gullies, shape.seed + GULLIES)
+
+
+def canyon(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
+    """Return a plateau that rivers have cut into, down through layers of hard and soft rock."""
+    plateau = sum_octaves(x, y, spacing, 3_000.0, 3, shape.seed, 0.4).scale(32.0 * shape.ruggedness)
+    seed = shape.seed + MORE
+    rivers = warp(lambda x, y: sum_octaves(x, y, spacing, 5_200.0, 3, seed, 0.3), x, y, spacing, 2_600.0, 300.0, shape.seed + WARPS)
+    ground = plateau.add(_cut(rivers, 0.227), -330.0 * shape.ruggedness)
+    ground = carve_gullies(ground, x, y, spacing, Gullies(700.0, 6, 0.11 * shape.erosion, 0.8, 0.35), shape.seed + GULLIES)
+    return _layers(_layers(ground, 90.0, 0.8), 23.0, 0.6)
+
+
+def mesas(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
+    """Return table mountains with cliffs above slopes of scree."""
+    places = warp(lambda x, y: sum_octaves(x, y, spacing, 1_500.0, 4, shape.seed, 0.45), x, y, spacing, 900.0, 92.0, shape.seed + WARPS)
+    tables = _cut(places.map(places.height - np.float32(0.64), np.float32(1.0)), 0.71)
+    plain = sum_octaves(x, y, spacing, 2_000.0, 3, shape.seed + MORE, 0.45).scale(10.0)
+    ground = plain.add(tables, 130.0 * shape.ruggedness)
+    ground = carve_gullies(ground, x, y, spacing, Gullies(260.0, 5, 0.09 * shape.erosion, 0.8, 0.5), shape.seed + GULLIES)
+    return _layers(_layers(ground, 65.0, 0.95), 11.0, 0.5)
+
+
+def dunes(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
+    """Return dunes across the wind, which blows along x: gentle on its side and steep behind."""
+    ground = sum_octaves(x, y, spacing, 1_300.0, 2, shape.seed, 0.4).scale(11.3 * shape.ruggedness)
+    for number, (wavelength, height) in enumerate(DUNES):
+        crests = sum_octaves(x, y, spacing, 2.6 * wavelength, 3, shape.seed + MORE + 4 * number, 0.42).scale(DUNE_WARP)
+        rate = np.float32(2.0 * np.pi / wavelength)
+        phase = Heights(crests.height + (rate * x).astype(np.float32), crests.gradient_x + rate, crests.gradient_y)
+        skewed = phase.height + np.float32(DUNE_SKEW) * np.sin(phase.height)
+        waves = phase.map(np.cos(skewed), -np.sin(skewed) * (1.0 + np.float32(DUNE_SKEW) * np.cos(phase.height)))
+        ground = ground.add(waves, height * shape.ruggedness * resolve(wavelength, spacing))
+    return ground
+
+
+def warp(noise: Noise, x: np.ndarray, y: np.ndarray, spacing: float, wavelength: float, distance: float, seed: int) -> Heights:
+    """Return noise at positions that other noise has moved, which bends ridges and valleys."""
+    along_x, along_y = (sum_octaves(x, y, spacing, wavelength, 2, seed + 8 * axis).scale(distance) for axis in (0, 1))
+    warped = noise(x + along_x.height, y + along_y.height)
+    gradient_x = warped.gradient_x * (1.0 + along_x.gradient_x) + warped.gradient_y * along_y.gradient_x
+    gradient_y = warped.gradient_x * along_x.gradient_y + warped.gradient_y * (1.0 + along_y.gradient_y)
+    return Heights(warped.height, gradient_x, gradient_y)
+
+
+def _cut(places: Heights, width: float) -> Heights:
+    """Return 1 where `places` is 0, falling to 0 on both sides within `width`, with steep walls."""
+    t = places.height / np.float32(width)
+    value = np.exp(-(t**4))
+    return places.map(value, -4.0 * t**3 * value / np.float32(width))
+
+
+def _layers(ground: Heights, thickness: float, hardness: float) -> Heights:
+    """Return ground with ledges: layers of a thickness, of which each has a steep and a level part. hardness: from 0 to 1."""
+    phase = ground.height * np.float32(2.0 * np.pi / thickness)
+    step = ground.height - np.float32(hardness * thickness / (2.0 * np.pi)) * np.sin(phase)
+    return ground.map(step, 1.0 - np.float32(hardness) * np.cos(phase))
+
+
+LANDSCAPES: dict[str, Ground] = {"alps": alps, "hills": hills, "canyon": canyon, "mesas": mesas, "dunes": dunes}
+
+
+def read_shape(source: ClipboxSettings) -> Shape:
+    """Return what the settings say about a landscape."""
+    return Shape(SEEDS * source.seed, source.ruggedness, source.erosion)
+
+
+def build_landscape(source: ClipboxSettings) -> DensityFunction:
+    """Build the landscape that the settings name. At x = y = 0, its ground is about at z = 0."""
+    ground, shape, scale = LANDSCAPES[source.terrain], read_shape(source), source.scale
+    origin = np.zeros((1, 1))
+    base = ground(origin, origin, 1.0, shape).height
+
+    def densities(grid: Grid) -> np.ndarray:
+        x, y, z = (values / scale for values in grid.coordinates())
+        spacing = grid.voxel_size / scale
+        x, y = np.broadcast_arrays(x[:, :, 0], y[:, :, 0])
+        bumps = sum_octaves(x, y, spacing, BUMP_WAVELENGTH, BUMP_OCTAVES, shape.seed + BUMPS)
+        heights = ground(x, y, spacing, shape).add(bumps, BUMP_HEIGHT)
+        steepness = heights.steepness
+        across = np.float32(scale) / np.sqrt(1.0 + steepness * steepness)
+        density = (((heights.height - base)[:, :, None] - z) * across[:, :, None]).astype(np.float32)
+        rock = np.clip((steepness - np.float32(ROCK_STEEPNESS)) / np.float32(ROCK_BLEND), 0.0, 1.0)
+        if rock.any():
+            ledges = fbm(grid, LEDGE_WAVELENGTH * scale, LEDGE_OCTAVES, shape.seed + LEDGES, squash=1.5)
+            density += ledges * (rock * np.float32(LEDGE_DEPTH * scale))[:, :, None]
+        return density
+
+    return densities
