@@ -94,8 +94,14 @@ def walk(frames: int, width: int, samples: int, folder: Path) -> list[Path]:
 
 def landscape(path: Path, width: int, samples: int) -> None:
     """Render one view of mountains."""
-    settings = ClipboxSettings(terrain="cascades", resolution=192, boxes=7, voxel_size=0.5)
-    _render_view(path, width, samples, settings, np.array([-40.0, -260.0, 75.0]), np.array([120.0, 120.0, -10.0]))
+    settings = ClipboxSettings(terrain="alps", scale=0.25, seed=5, resolution=192, boxes=8, voxel_size=1.0)
+    _render_view(path, width, samples, settings, np.array([700.0, 520.0, 150.0]), np.array([-160.0, 8.0, 120.0]))
+
+
+def desert(path: Path, width: int, samples: int) -> None:
+    """Render one view of table mountains."""
+    settings = ClipboxSettings(terrain="mesas", seed=2, resolution=192, boxes=7, voxel_size=0.5)
+    _render_view(path, width, samples, settings, np.array([256.0, -208.0, -45.0]), np.array([420.0, 157.0, -35.0]))
 
 
 def copses(path: Path, width: int, samples: int) -> None:
