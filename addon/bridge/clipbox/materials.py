@@ -12,16 +12,22 @@ from ..shading.node_builder import NodeBuilder, SocketOrValue, create_node_mater
 from ..shading.solid_view import show_color
 
 GROUP_NAME = "Farfield Ground"
-GROUP_VERSION = 1
+GROUP_VERSION = 2
 GRAIN_IMAGE = "Farfield Grain"
 SNOW_LINE = 0.3  # default height of snow above the upper height, relative to the size of the terrain
 MIN_SIZE = 1e-3  # scene units, for a flat terrain
+# Bumps of the ground: wavelength and height relative to Bump Size, octaves, and how far away they are seen. Farther away they would be
+# finer than pixels.
+BUMPS = (10.0, 3.0, 6.0, 1500.0), (0.8, 0.2, 5.0, 120.0)
+SOFT_BUMPS = 0.35  # Height of bumps on soil, relative to those on rock.
+BUMP_COLOR = 0.8  # How much darker hollows are than bumps.
 INPUTS = (
     ("Position", "Vector"), ("Grain", "Color"), ("Rock", "Color"), ("Grass", "Color"), ("Sand", "Color"), ("Snow", "Color"),
     ("Rock Slope", "Float"), ("Snow Height", "Float"), ("Sand Height", "Float"), ("Size", "Float"), ("Height Blend", "Float"),
     ("Height Noise", "Float"), ("Slope Blend", "Float"), ("Slope Noise", "Float"), ("Noise Scale", "Float"), ("Grain Strength", "Float"),
-    ("Grain Offset", "Float"), ("Color Noise", "Float"), ("Roughness", "Float"),
+    ("Grain Offset", "Float"), ("Color Noise", "Float"), ("Roughness", "Float"), ("Bump Size", "Float"), ("Bump Strength", "Float"),
 )  # fmt: skip
+OUTPUTS = ("Color", "Color"), ("Roughness", "Float"), ("Normal", "Vector")
 DEFAULTS = {
     "Rock": (0.17, 0.14, 0.115, 1.0),
     "Grass": (0.075, 0.11, 0.03, 1.0),
@@ -37,6 +43,8 @@ DEFAULTS = {
     "Grain Offset": 0.65,  # brightness added to it
     "Color Noise": 0.8,  # variation of the brightness by noise
     "Roughness": 0.9,
+    "Bump Size": 1.0,  # length of bumps that shading adds between the voxels
+    "Bump Strength": 1.0,
 }
 MEADOW, DRY_GRASS, RED_ROCK, DESERT_SAND = (
     (0.09, 0.12, 0.035, 1.0),
@@ -93,11 +101,18 @@ class GroundImage:
 
 
 def create_terrain_material(
-    name: str, root: bpy.types.Object, low: float, high: float, ground_image: GroundImage | None = None, terrain: str = ""
+    name: str,
+    root: bpy.types.Object,
+    low: float,
+    high: float,
+    voxel_size: float,
+    ground_image: GroundImage | None = None,
+    terrain: str = "",
 ) -> bpy.types.Material:
     """Create a material for terrain below `root`, most of which lies between the heights `low` and `high`, scene units above the root.
 
-    All colors and numbers are inputs of its node group. A `ground_image` replaces all ground colors. terrain: its kind.
+    All colors and numbers are inputs of its node group. voxel_size: of the smallest voxels; shading adds bumps between them. A
+    `ground_image` replaces all ground colors. terrain: its kind.
 
     Raises:
         FileError: the ground image cannot be read.
@@ -119,7 +134,7 @@ def create_terrain_material(
     for socket, value in values.items():
         group.inputs[socket].default_value = value
     show_color(material, values["Grass"])
-    group.inputs["Size"].default_value = size
+    group.inputs["Size"].default_value, group.inputs["Bump Size"].default_value = size, voxel_size
     group.inputs["Snow Height"].default_value, group.inputs["Sand Height"].default_value = high + SNOW_LINE * size, low
     if ground_image is not None:
         color = _project_ground_image(builder, position, ground_image)
@@ -130,6 +145,7 @@ def create_terrain_material(
     principled = builder.node("ShaderNodeBsdfPrincipled")
     builder.connect(group.outputs["Color"], principled.inputs["Base Color"])
     builder.connect(group.outputs["Roughness"], principled.inputs["Roughness"])
+    builder.connect(group.outputs["Normal"], principled.inputs["Normal"])
     builder.connect(principled.outputs[0], builder.node("ShaderNodeOutputMaterial").inputs["Surface"])
     builder.arrange()
     return material
@@ -152,7 +168,9 @@ def _project_ground_image(builder: NodeBuilder, position: bpy.types.NodeSocket, 
 
 
 def _ensure_ground_group() -> bpy.types.NodeTree:
-    return ensure_shared_group(GROUP_NAME, GROUP_VERSION, INPUTS, (("Color", "Color"), ("Roughness", "Float")), _fill_ground_group)
+    return ensure_shared_group(
+        GROUP_NAME, GROUP_VERSION, INPUTS, (("Color", "Color"), ("Roughness", "Float"), ("Normal", "Vector")), _fill_ground_group
+    )
 
 
 def _fill_ground_group(builder: NodeBuilder) -> None:
@@ -174,13 +192,39 @@ def _fill_ground_group(builder: NodeBuilder) -> None:
     ground = builder.mix(above_sand, inputs["Sand"], inputs["Grass"])
     above_snow = _ramp(builder, height, inputs["Snow Height"], builder.math("MULTIPLY", inputs["Size"], inputs["Height Blend"]))
     ground = builder.mix(above_snow, ground, inputs["Snow"])
-    color = builder.mix(_ramp(builder, normal_z, inputs["Rock Slope"], inputs["Slope Blend"]), inputs["Rock"], ground)
+    is_soil = _ramp(builder, normal_z, inputs["Rock Slope"], inputs["Slope Blend"])
+    color = builder.mix(is_soil, inputs["Rock"], ground)
+    bumps, hollows = _build_bumps(builder, inputs)
+    bumps = builder.math("MULTIPLY", bumps, builder.math("SUBTRACT", 1.0, builder.math("MULTIPLY", is_soil, 1.0 - SOFT_BUMPS)))
     brightness = builder.vector("ADD", builder.vector("SCALE", inputs["Grain"], inputs["Grain Strength"]), inputs["Grain Offset"])
     noise_factor = builder.math("ADD", builder.math("MULTIPLY", centered_noise, inputs["Color Noise"]), 1.0)
-    brightness = builder.vector("SCALE", brightness, noise_factor)
+    brightness = builder.vector("SCALE", brightness, builder.math("MULTIPLY", noise_factor, hollows))
     output = builder.node("NodeGroupOutput")
     builder.connect(builder.vector("MULTIPLY", color, brightness), output.inputs["Color"])
     builder.connect(inputs["Roughness"], output.inputs["Roughness"])
+    bump = builder.node("ShaderNodeBump")
+    builder.connect(inputs["Bump Strength"], bump.inputs["Strength"])
+    builder.connect(bumps, bump.inputs["Height"])
+    bump.inputs["Distance"].default_value = 1.0
+    builder.connect(bump.outputs["Normal"], output.inputs["Normal"])
+
+
+def _build_bumps(builder: NodeBuilder, inputs: bpy.types.bpy_prop_collection) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]:
+    """Return the height of bumps at the position, a length, and a factor of the brightness, which is less than 1 in hollows."""
+    distance = builder.node("ShaderNodeCameraData").outputs["View Distance"]
+    height, factor = 0.0, 1.0
+    for wavelength, relative_height, octaves, reach in BUMPS:
+        noise = builder.node("ShaderNodeTexNoise")
+        scale = builder.math("DIVIDE", 1.0 / wavelength, inputs["Bump Size"])
+        builder.connect(builder.vector("SCALE", inputs["Position"], scale), noise.inputs["Vector"])
+        noise.inputs["Scale"].default_value, noise.inputs["Detail"].default_value = 1.0, octaves
+        seen = builder.math("DIVIDE", distance, builder.math("MULTIPLY", inputs["Bump Size"], reach))
+        seen = builder.math("SUBTRACT", 1.0, seen, True)
+        bump = builder.math("MULTIPLY", builder.math("SUBTRACT", noise.outputs[0], 0.5), seen)
+        length = builder.math("MULTIPLY", inputs["Bump Size"], relative_height)
+        height = builder.math("ADD", builder.math("MULTIPLY", bump, length), height)
+        factor = builder.math("ADD", builder.math("MULTIPLY", bump, BUMP_COLOR), factor)
+    return height, factor
 
 
 def _ramp(builder: NodeBuilder, value: SocketOrValue, center: SocketOrValue, half_width: SocketOrValue) -> bpy.types.NodeSocket:

@@ -73,7 +73,7 @@ class TerrainJob:
             raise GeometryError(f'The terrain "{self.terrain.name}" was removed during the update.')
         self.terrain.store_settings(settings)
         material = self.terrain.material or create_terrain_material(
-            self.terrain.name, self.terrain.root, *height_range(core_result, origin), ground_image, settings.terrain
+            self.terrain.name, self.terrain.root, *height_range(core_result, origin), settings.voxel_size, ground_image, settings.terrain
         )
         terrain_objects.show_meshes(self.terrain, pending, core_result, material)
         cache.store(self.terrain, self.engine)
