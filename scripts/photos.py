@@ -199,10 +199,10 @@ def read_objects(path: Path, files: RunFiles) -> tuple[list[bpy.types.Object], n
 
 
 def unwrap_missing(objects: list[bpy.types.Object], line: command_line.ProgressLine) -> list[str]:
-    """Unwrap the meshes without a UV map; returns their names."""
+    """Unwrap the meshes without a UV map into one texture; returns their names."""
     missing = [item for item in objects if not item.data.uv_layers]
     if missing:
-        run_to_end(run_job(unwrap_job.prepare(bpy.context, missing, UnwrapSettings())), line.show)
+        run_to_end(run_job(unwrap_job.prepare(bpy.context, missing, UnwrapSettings(combine_selected=True))), line.show)
         line.clear()
     return [item.name for item in missing]
 

@@ -1,8 +1,9 @@
 """Unwrap the meshes of a file: `python3 scripts/unwrap.py INPUT --out OUT.blend [flags]`.
 
-INPUT is a .blend, .obj, .ply, .stl, .glb, .gltf, .fbx or .usd file. Each mesh that is visible in renders gets its own UV map. The extension
-of --out selects the output: .blend (the whole scene), .obj or .glb (all objects). `--direction` without `--importance` implies
-`--importance direction`. `blender --background --python scripts/unwrap.py -- INPUT --out OUT` does the same.
+INPUT is a .blend, .obj, .ply, .stl, .glb, .gltf, .fbx or .usd file. Each mesh that is visible in renders gets its own UV map, and its own
+texture unless `--combine-selected` packs all into one. The extension of --out selects the output: .blend (the whole scene), .obj or .glb
+(all objects). `--direction` without `--importance` implies `--importance direction`.
+`blender --background --python scripts/unwrap.py -- INPUT --out OUT` does the same.
 """
 
 import math

@@ -12,7 +12,7 @@ NOT_PRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # Control charac
 QUOTED_OR_NUMBER = re.compile(r'"([^"]*)"|\d[\d,.]*(?<=\d)')
 SENTENCE_END = re.compile(r"[.!?](?= [\"A-Z0-9])")
 NOT_UNICODE = re.compile("[\ud800-\udfff]")  # Python decodes bytes that are not UTF-8 to these code points.
-PLURALS = {"vertex": "vertices", "patch": "patches", "box": "boxes"}  # that do not end in a mere s
+PLURALS = {"mesh": "meshes", "vertex": "vertices", "patch": "patches", "box": "boxes"}  # that do not end in a mere s
 MAX_NAMED = 3  # things of a kind that a message names
 
 

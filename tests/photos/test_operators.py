@@ -286,7 +286,7 @@ class TestMerge:
         corner_uvs = [read_uvs(item).astype(float) for item in (first, second)]
         assert run_to_end(count_overlaps(np.concatenate(corner_uvs))) == 0
         areas = [np.abs(signed_areas(uvs)).sum() for uvs in corner_uvs]
-        assert areas[0] == pytest.approx(areas[1], rel=1e-3) and min(areas) > 0.15
+        assert areas[0] == pytest.approx(areas[1], rel=0.15) and min(areas) > 0.2  # Each has as many texels as its camera shows.
         assert sample_texture(first) == pytest.approx(90 / 255, abs=0.01)
         assert sample_texture(second) == pytest.approx(90 / 255, abs=0.01)
 

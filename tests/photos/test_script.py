@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 
 import photos
+from farfield.addon.bridge.geometry.mesh_arrays import read_loop_triangles, read_uvs
 from farfield.addon.core.errors import FileError, GeometryError, ImageError
+from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.unwrap.overlaps import count_overlaps
 from image_data import read_image, write_image
 from lib import command_line
 from photo_scenes import SIZE, detailed_texture, grid, photograph, ring, smooth_texture
@@ -183,3 +186,12 @@ def test_masked_pixels_are_not_used(folder):
         run(*inputs(folder), "--masks", masks, "--texture", folder / "u.png")
     with pytest.raises(FileError, match="There is no mask of a photograph in"):
         run(*inputs(folder), "--masks", folder, "--texture", folder / "u.png")
+
+
+def test_meshes_without_uv_maps_do_not_overlap_in_the_texture(empty_scene):
+    for x in (0.0, 3.0):
+        bpy.ops.mesh.primitive_plane_add(calc_uvs=False, location=(x, 0.0, 0.0))
+    items = list(bpy.context.scene.objects)
+    assert photos.unwrap_missing(items, command_line.ProgressLine()) == [item.name for item in items]
+    corner_uvs = [read_uvs(item.data.uv_layers["Unwrap"])[read_loop_triangles(item.data)[0]].astype(float) for item in items]
+    assert run_to_end(count_overlaps(np.concatenate(corner_uvs))) == 0

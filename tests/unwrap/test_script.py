@@ -150,3 +150,17 @@ def test_what_an_output_lacks_is_named(head):
     assert "lacks" not in summaries[".blend"]
     assert summaries[".obj"].endswith(" The .obj lacks materials and the effect of modifiers.")
     assert summaries[".glb"].endswith(" The .glb lacks the effect of modifiers.")
+
+
+def test_all_meshes_of_a_file_in_one_texture(tmp_path, empty_scene):
+    for x in (0.0, 3.0):
+        bpy.ops.mesh.primitive_plane_add(calc_uvs=False, location=(x, 0.0, 0.0))
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "in.blend"))
+    report = tmp_path / "report.json"
+    summary = run(tmp_path / "in.blend", "--out", tmp_path / "out.blend", "--combine-selected", "--report", report)
+    assert summary.startswith("Unwrapped 2 meshes into one texture: ")
+    figures = json.loads(report.read_text())["objects"]
+    assert len(figures) == 2 and figures[0]["fill"] == figures[1]["fill"]
+    uvs = [read_uvs(item.data.uv_layers["Unwrap"]) for item in bpy.context.scene.objects]
+    gaps = np.maximum(uvs[0].min(axis=0) - uvs[1].max(axis=0), uvs[1].min(axis=0) - uvs[0].max(axis=0))
+    assert gaps.max() > 0.0

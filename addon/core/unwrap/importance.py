@@ -18,7 +18,7 @@ def compute_importance(
     settings: UnwrapSettings,
     cameras: Sequence[CameraProjection],
     occluders: Callable[[], Iterable[TriangleMesh]],
-    normal_sign: float,
+    normal_signs: np.ndarray,
     group_weights: np.ndarray,
 ) -> np.ndarray:
     """Return the importance (T,) of the triangles of `mesh`, in world space, of the kind in `settings`.
@@ -26,7 +26,7 @@ def compute_importance(
     Args:
         cameras: those whose pixels count.
         occluders: returns other meshes that may hide the surface, in world space.
-        normal_sign: -1 where the normals of `mesh` point inwards, else 1.
+        normal_signs: (T,) -1 where the normals of `mesh` point inwards, else 1.
         group_weights: (V,) weights of the vertex group, 0 without one.
 
     Raises:
@@ -34,9 +34,9 @@ def compute_importance(
     """
     areas, normals = face_areas_and_normals(mesh.corners)
     if settings.importance == "direction":
-        return from_direction(normal_sign * normals, np.array(settings.direction))
+        return from_direction(normal_signs[:, None] * normals, np.array(settings.direction))
     if settings.importance == "gradual":
-        return from_direction_gradual(normal_sign * normals, np.array(settings.direction), settings.density_ratio)
+        return from_direction_gradual(normal_signs[:, None] * normals, np.array(settings.direction), settings.density_ratio)
     if settings.importance in ("camera", "cameras"):
         pixel_areas = np.max([visible_pixel_areas(mesh, camera, occluders()) for camera in cameras], axis=0)
         return from_visible_pixels(pixel_areas, areas, settings.density_ratio)

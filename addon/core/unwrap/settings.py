@@ -58,6 +58,11 @@ class UnwrapSettings(Settings):
         used_if={"importance": tuple(value for value in IMPORTANCE if value != "uniform")},
     )
     islands: str = setting("creases", "How the surface is divided into UV islands", choices=ISLANDS)
+    combine_selected: bool = setting(
+        False,
+        "Pack the UV islands of all selected meshes into one texture, with one texel density. Otherwise each mesh fills its own",
+        panel_label="One Texture for All",
+    )
     texture_size: tuple = setting(
         (2048, 2048),
         "Width and height of the texture in pixels. UV islands keep their proportions on a texture that is not square",
@@ -105,6 +110,11 @@ class UnwrapSettings(Settings):
     further_cuts: bool = setting(True, "Also cut strongly distorted parts. When off, parts are only cut where necessary", group=OPTIONS)
     boundary: str = setting("free", "Shape of the boundary of each UV island", choices=BOUNDARIES, group=OPTIONS)
     uv_map: str = setting("Unwrap", "Name of the UV map, created if missing", group=OPTIONS)
+
+    @property
+    def follows_creases(self) -> bool:
+        """Whether surfaces are divided along creases."""
+        return self.islands == "creases" and self.further_cuts and self.boundary == "free"
 
     @property
     def texture(self) -> Texture:

@@ -1,6 +1,6 @@
 """Unwraps a surface: cuts it into charts, parameterizes and arranges them, and measures the resulting UV map."""
 
-import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,20 +8,20 @@ import numpy as np
 from ..errors import GeometryError
 from ..geometry.mesh import TriangleMesh, check_points, face_areas_and_normals, has_area
 from ..geometry.transforms import signed_areas
-from ..jobs.progress import Progress, Steps, subprogress
-from .arrangement import merge_and_pack, pack, pack_upright
-from .cutting.atlas_seams import find_atlas_seams
+from ..jobs.progress import Progress, StageClock, Steps, subprogress
+from .arrangement import PackedMap, merge_and_pack, pack, pack_upright
 from .cutting.bisection import bisect_further
 from .cutting.chart import Chart, label_components
-from .cutting.charts import MAX_EXCESS, CutChart, connect_triangles, cut_further, cut_into_charts
+from .cutting.charts import MAX_EXCESS, CutChart, connect_triangles, cut_further
 from .cutting.cuts import POOR_EXCESS
-from .cutting.regions import divide_at_creases
+from .cutting.divisions import Division, combine_divisions, combine_surfaces, divide
 from .distortion import DistortionMetrics, Stretches, compute_stretches, measure_distortion
 from .parameterization.developable import unfold_developable
 from .parameterization.mild import flatten_mild
 from .parameterization.parameterize import Balance, Boundary, DistortionError, parameterize
 from .settings import UnwrapSettings
 from .stacking import Copies, find_copies
+from .texture import Texture
 
 CUTTING_END, PARAMETERIZATION_END, PACKING_END = 0.1, 0.9, 0.95  # Fractions of the progress bar.
 MAX_CUT_ROUNDS = 2  # In each a chart is cut towards all its most distorted parts; in the second one only where it is poor or has needles.
@@ -32,18 +32,37 @@ MIN_CHART_AREA = 1e-7  # As a fraction of the total area.
 
 
 @dataclass(frozen=True)
+class UnwrapInput:
+    """A mesh to unwrap.
+
+    Attributes:
+        mesh: T triangles, in world space.
+        polygon_ids: (T,) the polygon of each triangle; polygons are never cut.
+        seams: (S, 2) vertices of edges that are always cut.
+        importance: (T,) 0 to 1.
+        name: Of the object, for errors.
+    """
+
+    mesh: TriangleMesh
+    polygon_ids: np.ndarray
+    seams: np.ndarray
+    importance: np.ndarray
+    name: str = "mesh"
+
+
+@dataclass(frozen=True)
 class UnwrapResult:
     """A UV map.
 
     Attributes:
         corner_uvs: (T, 3, 2) float64 in UDIM tiles of side 1, the first one at the origin.
         stretches: Stretch of each triangle.
-        metrics: Quality of the map.
+        metrics: Quality of the map. Its fill is that of the whole texture, also where this has several meshes.
         chart_count: Number of charts, with stacked ones.
         stacked_count: Number of charts in the place of another one.
-        tile_count: Number of UDIM tiles.
+        tile_count: Number of UDIM tiles of the texture.
         is_upright: Whether islands of vertical surfaces are turned so that up in the world is up in the map.
-        seconds: Run time per stage.
+        seconds: Run time per stage, shared by several meshes in one texture in proportion to their triangles.
     """
 
     corner_uvs: np.ndarray
@@ -82,73 +101,122 @@ def unwrap(
     Raises:
         GeometryError: see `check_surface`; or a part cannot be parameterized.
     """
-    seconds, started = {}, time.perf_counter()
-    check_surface(mesh, name)
+    [result] = yield from unwrap_together([UnwrapInput(mesh, polygon_ids, seams, importance, name)], settings, unit_length)
+    return result
+
+
+def unwrap_together(inputs: Sequence[UnwrapInput], settings: UnwrapSettings, unit_length: float = 1.0) -> Steps[list[UnwrapResult]]:
+    """Return the UV maps of several meshes in one texture. Each mesh is cut as it would be alone; all get the same texel density.
+
+    unit_length: of a unit of the meshes, in meters.
+
+    Raises:
+        GeometryError: see `check_surface`; or a part cannot be parameterized.
+    """
+    clock, ends = StageClock(), np.cumsum([len(each.mesh.triangles) for each in inputs])
+    for each in inputs:
+        check_surface(each.mesh, each.name)
+    with clock.stage("cut"):
+        division, parts, copies = yield from subprogress(_divide_all(inputs, settings), 0.0, CUTTING_END)
+    with clock.stage("parameterize"):
+        charts, uvs = yield from subprogress(_parameterize_charts(division.others, settings), CUTTING_END, PARAMETERIZATION_END)
+        charts, uvs = [cut for cut, _ in division.flat] + charts, [uv for _, uv in division.flat] + uvs
+        uvs = _scale_to_density(uvs, [cut.chart for cut in charts])
+    with clock.stage("pack"):
+        yield Progress(PARAMETERIZATION_END, "Packing")
+        texels_per_unit = settings.texel_density * unit_length / float(np.sqrt(_mean_density(charts, uvs)))
+        texture = replace(settings.texture, density=texels_per_unit)
+        packed = yield from subprogress(_pack(division, charts, uvs, texture, settings), PARAMETERIZATION_END, PACKING_END)
+        kept, is_stacked = np.flatnonzero(~copies.is_copy), copies.is_copy
+        corner_uvs, labels = np.empty((len(parts), 3, 2)), np.empty(len(parts), np.int64)
+        corner_uvs[kept], labels[kept], is_stacked[kept] = packed.corner_uvs, packed.labels, packed.copies.is_copy
+        corner_uvs, labels = copies.fill(corner_uvs), parts * len(parts) + labels[copies.sources]
+    results, start = [], PACKING_END
+    with clock.stage("measure"):
+        for each, *arrays in zip(inputs, *(np.split(values, ends[:-1]) for values in (corner_uvs, labels, is_stacked)), strict=True):
+            stop = start + (1.0 - PACKING_END) * len(each.mesh.triangles) / ends[-1]
+            results.append((yield from subprogress(_measure(each, *arrays, packed, texture, unit_length), start, stop)))
+            start = stop
+    fill = sum(result.metrics.fill for result in results)
+    fractions = [len(each.mesh.triangles) / ends[-1] for each in inputs]
+    return [
+        replace(
+            result,
+            metrics=replace(result.metrics, fill=fill),
+            seconds={stage: duration * fraction for stage, duration in clock.seconds.items()},
+        )
+        for result, fraction in zip(results, fractions, strict=True)
+    ]
+
+
+def _divide_all(inputs: Sequence[UnwrapInput], settings: UnwrapSettings) -> Steps[tuple[Division, np.ndarray, Copies]]:
+    """Return the charts of all meshes, without those of equal parts that share a place; the part (T,) of each of all triangles, and which
+    are copies."""
     yield Progress(0.0, "Cutting")
-    density = settings.density_ratio**importance
-    parts, copies = np.zeros(len(density), np.int64), Copies.none(len(density))
+    surfaces = [
+        Chart(each.mesh.vertices, each.mesh.triangles, settings.density_ratio**each.importance, each.polygon_ids) for each in inputs
+    ]
+    ends = np.cumsum([len(surface.triangles) for surface in surfaces])
+    parts, copies = np.zeros(ends[-1], np.int64), Copies.none(ends[-1])
     if settings.stack_equal_islands:
-        parts, copies = yield from subprogress(_find_equal_parts(mesh, density, polygon_ids, seams), 0.0, 0.0)
-    kept = np.flatnonzero(~copies.is_copy)
-    surface = Chart(mesh.vertices, mesh.triangles[kept], density[kept], polygon_ids[kept])
-    if settings.islands == "atlas":
-        atlas_seams = find_atlas_seams(TriangleMesh(surface.vertices, surface.triangles), surface.polygon_ids)
-        seams = np.concatenate([np.reshape(seams, (-1, 2)), atlas_seams])
-    follows_creases = _follows_creases(settings)
-    regions, halfedges = [], np.zeros((0, 2), np.int64)
-    if follows_creases:
-        halfedges, has_seam = yield from subprogress(connect_triangles(surface, seams), 0.0, CUTTING_END)
-        regions, charts = yield from subprogress(divide_at_creases(surface, halfedges, has_seam), 0.0, CUTTING_END)
-    else:
-        charts = yield from subprogress(cut_into_charts(surface, seams, settings.further_cuts), 0.0, CUTTING_END)
-    seconds["cut"], started = time.perf_counter() - started, time.perf_counter()
-    charts, uvs = yield from subprogress(_parameterize_charts(charts, settings), CUTTING_END, PARAMETERIZATION_END)
-    charts, uvs = [cut for cut, _ in regions] + charts, [uv for _, uv in regions] + uvs
-    uvs = _scale_to_density(uvs, [cut.chart for cut in charts])
-    seconds["parameterize"], started = time.perf_counter() - started, time.perf_counter()
-    yield Progress(PARAMETERIZATION_END, "Packing")
-    texels_per_unit = settings.texel_density * unit_length / float(np.sqrt(_mean_density(charts, uvs)))
-    texture = replace(settings.texture, density=texels_per_unit)
-    steps = pack(surface, charts, uvs, texture, settings.stack_equal_islands)
-    if follows_creases:
-        steps = merge_and_pack(surface, charts, uvs, halfedges, texture, settings.stack_equal_islands)
-    packed = yield from subprogress(steps, PARAMETERIZATION_END, PACKING_END)
-    if settings.orientation != "fill":
-        steps = pack_upright(packed, texture, settings.orientation == "upright")
-        packed = yield from subprogress(steps, PACKING_END, PACKING_END)
-    corner_uvs, labels = np.empty((len(mesh.triangles), 3, 2)), np.empty(len(mesh.triangles), np.int64)
-    corner_uvs[kept], labels[kept] = packed.corner_uvs, packed.labels
-    corner_uvs, labels = copies.fill(corner_uvs), labels[copies.sources]
-    is_stacked = copies.is_copy
-    is_stacked[kept] = packed.copies.is_copy
-    chart_count = len(np.unique(parts * len(labels) + labels))
-    seconds["pack"], started = time.perf_counter() - started, time.perf_counter()
-    yield Progress(PACKING_END, "Measuring")
-    stretches = yield from subprogress(compute_stretches(mesh, corner_uvs * texture.aspect), PACKING_END, PACKING_END)
-    yield Progress(PACKING_END, "Measuring")
-    steps = measure_distortion(mesh, corner_uvs, stretches, importance, texture, unit_length, packed.tile_count, is_stacked)
-    metrics = yield from subprogress(steps, PACKING_END, 1.0)
-    seconds["measure"] = time.perf_counter() - started
-    stacked_count = chart_count - packed.separate_count
-    return UnwrapResult(corner_uvs, stretches, metrics, chart_count, stacked_count, packed.tile_count, packed.is_upright, seconds)
+        parts, copies = yield from subprogress(_find_equal_parts(surfaces, [each.seams for each in inputs]), 0.0, 0.0)
+    divisions, start = [], 0.0
+    for each, surface, kept in zip(inputs, surfaces, np.split(~copies.is_copy, ends[:-1]), strict=True):
+        own = Chart(surface.vertices, surface.triangles[kept], surface.density[kept], surface.polygon_ids[kept])
+        stop = start + len(kept) / ends[-1]
+        divisions.append((yield from subprogress(divide(own, each.seams, settings), start, stop)))
+        start = stop
+    return combine_divisions(divisions), parts, copies
 
 
-def _find_equal_parts(
-    mesh: TriangleMesh, density: np.ndarray, polygon_ids: np.ndarray, seams: np.ndarray
-) -> Steps[tuple[np.ndarray, Copies]]:
-    """Return the connected part (T,) of each triangle, and which are copies of parts that are equal, also in their seams."""
-    surface = Chart(mesh.vertices, mesh.triangles, density)
-    halfedges, has_seam = yield from connect_triangles(surface, seams)
-    _, parts = label_components(len(mesh.triangles), halfedges)
-    copies = yield from find_copies(mesh.corners, parts, density, polygon_ids)
+def _find_equal_parts(surfaces: Sequence[Chart], seams: Sequence[np.ndarray]) -> Steps[tuple[np.ndarray, Copies]]:
+    """Return the connected part (T,) of each triangle of all surfaces, and which are copies of parts that are equal, also in their `seams`
+    (S, 2)."""
+    halfedges, has_seam, first = [], [], 0
+    for surface, own_seams in zip(surfaces, seams, strict=True):
+        own_halfedges, own_has_seam = yield from connect_triangles(surface, own_seams)
+        halfedges.append(own_halfedges + 3 * first)
+        has_seam.append(own_has_seam)
+        first += len(surface.triangles)
+    surface, has_seam = combine_surfaces(surfaces), np.concatenate(has_seam)
+    _, parts = label_components(first, np.concatenate(halfedges))
+    copies = yield from find_copies(surface.vertices[surface.triangles], parts, surface.density, surface.polygon_ids)
     is_equal = np.bincount(parts, has_seam != has_seam[copies.sources]) == 0
     sources = np.where(is_equal[parts], copies.sources, np.arange(len(parts)))
     return parts, Copies(sources, np.where(is_equal[parts], copies.turns, 0))
 
 
-def _follows_creases(settings: UnwrapSettings) -> bool:
-    """Return whether surfaces are divided along creases."""
-    return settings.islands == "creases" and settings.further_cuts and settings.boundary == "free"
+def _pack(
+    division: Division, charts: list[CutChart], uvs: list[np.ndarray], texture: Texture, settings: UnwrapSettings
+) -> Steps[PackedMap]:
+    """Return the packed map of charts with `uvs` (V, 2) of each."""
+    stack = settings.stack_equal_islands
+    steps = pack(division.surface, charts, uvs, texture, stack)
+    if settings.follows_creases:
+        steps = merge_and_pack(division.surface, charts, uvs, division.halfedges, texture, stack)
+    packed = yield from subprogress(steps, 0.0, 1.0)
+    if settings.orientation != "fill":
+        packed = yield from subprogress(pack_upright(packed, texture, settings.orientation == "upright"), 1.0, 1.0)
+    return packed
+
+
+def _measure(
+    each: UnwrapInput,
+    corner_uvs: np.ndarray,
+    labels: np.ndarray,
+    is_stacked: np.ndarray,
+    packed: PackedMap,
+    texture: Texture,
+    unit_length: float,
+) -> Steps[UnwrapResult]:
+    """Return the map (T, 3, 2) of one mesh, with its own fill and without times. labels: (T,) the chart of each triangle."""
+    yield Progress(0.0, "Measuring")
+    stretches = yield from subprogress(compute_stretches(each.mesh, corner_uvs * texture.aspect), 0.0, 0.0)
+    yield Progress(0.0, "Measuring")
+    steps = measure_distortion(each.mesh, corner_uvs, stretches, each.importance, texture, unit_length, packed.tile_count, is_stacked)
+    metrics = yield from steps
+    counts = [len(np.unique(chosen)) for chosen in (labels, labels[is_stacked])]
+    return UnwrapResult(corner_uvs, stretches, metrics, *counts, packed.tile_count, packed.is_upright, {})
 
 
 def check_surface(mesh: TriangleMesh, name: str) -> None:
@@ -177,7 +245,7 @@ def _parameterize_chart(cut: CutChart, settings: UnwrapSettings, rounds_left: in
     boundary, balance = Boundary(settings.boundary), Balance(settings.balance)
     uv = (yield from subprogress(unfold_developable(cut.chart), 0.0, 0.0)) if boundary is Boundary.FREE else None
     is_uniform = settings.min_quality == 0.0 and float(np.ptp(cut.chart.density)) == 0.0
-    if uv is None and is_uniform and cut.may_be_cut and _follows_creases(settings):
+    if uv is None and is_uniform and cut.may_be_cut and settings.follows_creases:
         uv = flatten_mild(cut.chart)
     if uv is not None:
         return [(cut, uv)]

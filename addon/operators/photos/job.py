@@ -1,6 +1,5 @@
 """The job of the operator *Merge*: reads photographs, unwraps meshes without a UV map, and writes texture and material."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import bpy
@@ -16,15 +15,12 @@ from ...core.errors import GeometryError
 from ...core.files.scratch import Scratch
 from ...core.geometry.cameras import CameraProjection
 from ...core.geometry.local_origin import describe_coarseness
-from ...core.geometry.mesh import face_areas_and_normals
-from ...core.geometry.transforms import signed_areas
 from ...core.jobs.progress import Progress, Steps, subprogress
 from ...core.messages import format_count, join_sentences, quote_names
 from ...core.photos.merging import merge
 from ...core.photos.photo_texture import PhotoTexture
 from ...core.photos.settings import PhotosSettings
 from ...core.photos.texels.pages import PageLayout, describe_overlaps, find_overlapping, lay_out_pages
-from ...core.unwrap.packing import pack_charts
 from ...core.unwrap.settings import UnwrapSettings
 from ...core.unwrap.unwrapping import UnwrapResult
 from ..unwrap import job as unwrap_job
@@ -69,9 +65,7 @@ class MergeJob:
         with Scratch() as scratch:
             photographs = yield from subprogress(read_photographs(self.sources, scratch), 0.0, READING_END)
             if self.unwrapping is not None:
-                results = yield from subprogress(self.unwrapping.core_steps(), READING_END, UNWRAPPING_END)
-                yield Progress(UNWRAPPING_END, "Packing")
-                unwrapped = yield from _pack_together(self.unwrapping, results)
+                unwrapped = yield from subprogress(self.unwrapping.core_steps(), READING_END, UNWRAPPING_END)
                 new_uvs = {instance.object_uid: result.corner_uvs for instance, result in zip(self.instances, unwrapped, strict=True)}
                 end = UNWRAPPING_END
             surface = read_surface(self.instances, new_uvs)
@@ -181,7 +175,7 @@ def _prepare_unwrapping(
     context: bpy.types.Context, objects: list[bpy.types.Object], instances: list[SourceInstance], sources: list[PhotoSource]
 ) -> unwrap_job.UnwrapJob:
     """Return the job that unwraps `objects` with more texels where the photographs show more. Raises GeometryError."""
-    job = unwrap_job.prepare(context, objects, UnwrapSettings(min_quality=MIN_QUALITY))
+    job = unwrap_job.prepare(context, objects, UnwrapSettings(min_quality=MIN_QUALITY, combine_selected=True))
     faces = [target.loops for target in job.targets]
     same = len(faces) == len(instances) and all(
         np.array_equal(loops, instance.mesh.loops) for loops, instance in zip(faces, instances, strict=True)
@@ -201,19 +195,3 @@ def _project(instances: list[SourceInstance], sources: list[PhotoSource]) -> lis
     vertices = concatenate_in_world_space(instances).vertices
     projections = (to_projection(source.camera, vertices) for source in sources)
     return [projection for projection in projections if projection is not None]
-
-
-def _pack_together(job: unwrap_job.UnwrapJob, results: Sequence[UnwrapResult]) -> Steps[list[UnwrapResult]]:
-    """Return the UV maps of several meshes in one unit square, each with the area of its surface."""
-    if len(results) == 1:
-        return list(results)
-    scaled = []
-    for target, result in zip(job.targets, results, strict=True):
-        area, uv_area = face_areas_and_normals(target.mesh.corners)[0].sum(), np.abs(signed_areas(result.corner_uvs)).sum()
-        scaled.append(result.corner_uvs.reshape(-1, 2) * np.sqrt(area / uv_area))
-    packing = yield from pack_charts(scaled, [np.arange(len(uvs)).reshape(-1, 3) for uvs in scaled], job.settings.texture)
-    corner_uvs = [uvs.reshape(-1, 3, 2) for uvs in packing.uvs]
-    return [
-        replace(result, corner_uvs=uvs, metrics=replace(result.metrics, fill=float(np.abs(signed_areas(uvs)).sum())))
-        for result, uvs in zip(results, corner_uvs, strict=True)
-    ]

@@ -14,13 +14,15 @@ from ...bridge.unwrap import uv_maps
 from ...core.errors import GeometryError, SettingsError
 from ...core.geometry.cameras import CameraProjection
 from ...core.geometry.local_origin import describe_coarseness
-from ...core.geometry.mesh import TriangleMesh
+from ...core.geometry.mesh import TriangleMesh, concatenate, face_areas_and_normals
 from ...core.jobs.progress import Progress, Steps, subprogress
 from ...core.messages import format_count, format_number, join_sentences
+from ...core.settings import describe
 from ...core.unwrap.importance import compute_importance, from_direction
 from ...core.unwrap.settings import UnwrapSettings
-from ...core.unwrap.unwrapping import UnwrapResult, check_surface, unwrap
+from ...core.unwrap.unwrapping import UnwrapInput, UnwrapResult, check_surface, unwrap_together
 
+COMBINE_LABEL = next(item.panel_label for item in describe(UnwrapSettings) if item.name == "combine_selected")
 MIN_DENSITY_FRACTION = 0.99  # Of the wanted texel density, below which it counts as lowered.
 
 
@@ -51,15 +53,18 @@ class UnwrapJob:
     results: list[tuple[uv_maps.UvTarget, UnwrapResult]] = field(default_factory=list)
 
     def core_steps(self) -> Steps[list[UnwrapResult]]:
-        """Unwrap every mesh."""
+        """Unwrap every mesh, or all together."""
         total, done, results = sum(len(target.mesh.triangles) for target in self.targets), 0.0, []
-        for target in self.targets:
-            fraction = len(target.mesh.triangles) / total
+        for group in [self.targets] if self.settings.combine_selected else [[target] for target in self.targets]:
+            fraction = sum(len(target.mesh.triangles) for target in group) / total
             yield Progress(done, "Computing importance")
-            occluders = partial(self._occluders, target)
-            weights = compute_importance(target.mesh, self.settings, self.cameras, occluders, target.normal_sign, target.group_weights)
-            steps = unwrap(target.mesh, target.polygon_ids, target.seams, weights, self.settings, target.object_name, self.unit_length)
-            results.append((yield from subprogress(steps, done, done + fraction)))
+            weights = self._compute_importance(group)
+            inputs = [
+                UnwrapInput(target.mesh, target.polygon_ids, target.seams, importance, target.object_name)
+                for target, importance in zip(group, weights, strict=True)
+            ]
+            steps = unwrap_together(inputs, self.settings, self.unit_length)
+            results += yield from subprogress(steps, done, done + fraction)
             done += fraction
         return results
 
@@ -86,34 +91,76 @@ class UnwrapJob:
                 bpy.ops.object.mode_set(mode="EDIT")
         return self._summarize()
 
-    def _occluders(self, target: uv_maps.UvTarget) -> Iterator[TriangleMesh]:
-        """Yield the meshes that may hide a target: its polygons that are not unwrapped, and all other visible objects."""
-        yield TriangleMesh(target.mesh.vertices, target.other_triangles)
+    def _compute_importance(self, group: Sequence[uv_maps.UvTarget]) -> list[np.ndarray]:
+        """Return the importance (T,) of the triangles of each mesh in a group, for one texture: what is less important in all of them
+        gets less of it."""
+        counts = [len(target.mesh.triangles) for target in group]
+        signs = np.repeat([target.normal_sign for target in group], counts)
+        weights = np.concatenate([target.group_weights for target in group])
+        mesh, occluders = concatenate([target.mesh for target in group]), partial(self._occluders, group)
+        importance = compute_importance(mesh, self.settings, self.cameras, occluders, signs, weights)
+        return np.split(importance, np.cumsum(counts)[:-1])
+
+    def _occluders(self, group: Sequence[uv_maps.UvTarget]) -> Iterator[TriangleMesh]:
+        """Yield the meshes that may hide those of a group: their polygons that are not unwrapped, and all other visible objects."""
+        for target in group:
+            yield TriangleMesh(target.mesh.vertices, target.other_triangles)
+        names = {target.object_name for target in group}
         for instance in self.occluders:
-            if instance.name != target.object_name:
+            if instance.name not in names:
                 yield concatenate_in_world_space([instance])
 
+    @property
+    def _is_combined(self) -> bool:
+        """Whether several meshes share a texture."""
+        return self.settings.combine_selected and len(self.targets) > 1
+
     def _summarize(self) -> str:
-        summaries = [f'"{target.object_name}" ({self._describe(result)})' for target, result in self.results]
-        texture = _describe_tiles(self.settings)
-        densities = [(target, result.metrics.texel_density) for target, result in self.results]
-        lowered = [
-            f'The texel density of "{target.object_name}" was lowered to {format_number(density)} px/m: '
-            f"{format_number(self.settings.texel_density)} px/m do not fit into {texture}."
-            for target, density in densities
+        results, textures = [result for _, result in self.results], ""
+        skipped = f"Skipped: {'; '.join(self.skipped)}." if self.skipped else ""
+        notes = [*self._lowered_densities(), *self.remarks, skipped]
+        if len(results) == 1:
+            name = self.results[0][0].object_name
+            return join_sentences([f'Unwrapped "{name}" ({_describe(results, has_packing=True)}).', *notes])
+        place = " into one texture" if self._is_combined else ""
+        summary = f"Unwrapped {format_count(len(results), 'mesh')}{place}: {_describe(results, has_packing=self._is_combined)}."
+        if not self._is_combined:
+            textures = f"Each mesh has its own texture; {COMBINE_LABEL} packs them into one."
+        details = [f'"{target.object_name}": {_describe([result], has_packing=not self._is_combined)}.' for target, result in self.results]
+        return " ".join([join_sentences([summary, textures, *notes]), *details])
+
+    def _lowered_densities(self) -> list[str]:
+        """Return a sentence about each texture whose texel density was lowered."""
+        densities = {f' of "{target.object_name}"': result.metrics.texel_density for target, result in self.results}
+        if self._is_combined:
+            areas = [face_areas_and_normals(target.mesh.corners)[0].sum() for target, _ in self.results]
+            densities = {"": float(np.sqrt(np.average(np.square(list(densities.values())), weights=areas)))}
+        return [
+            f"The texel density{of_mesh} was lowered to {format_number(density)} px/m: "
+            f"{format_number(self.settings.texel_density)} px/m do not fit into {_describe_tiles(self.settings)}."
+            for of_mesh, density in densities.items()
             if density < MIN_DENSITY_FRACTION * self.settings.texel_density
         ]
-        skipped = f"Skipped: {'; '.join(self.skipped)}." if self.skipped else ""
-        return join_sentences([f"Unwrapped {', '.join(summaries)}.", *lowered, *self.remarks, skipped])
 
-    def _describe(self, result: UnwrapResult) -> str:
-        """Return the most important figures of a UV map."""
-        metrics, tiles = result.metrics, result.tile_count
-        stacked = f" of which {result.stacked_count:,} stacked" if result.stacked_count else ""
-        figures = [f"stretch {metrics.l2:.3f}", format_count(result.chart_count, "UV island") + stacked]
-        figures += [format_count(tiles, "UDIM tile")] if tiles > 1 else []
-        figures += ["upright"] if result.is_upright else []
-        return ", ".join([*figures, f"{format_number(metrics.texel_density)} px/m", f"{metrics.fill:.0%} filled"])
+
+def _describe(results: Sequence[UnwrapResult], *, has_packing: bool) -> str:
+    """Return the most important figures of UV maps, in one texture or in several ones. has_packing: with those of the texture."""
+    first, stacked = results[0], sum(result.stacked_count for result in results)
+    islands = format_count(sum(result.chart_count for result in results), "UV island")
+    figures = [f"stretch {_format_range([f'{result.metrics.l2:.3f}' for result in sorted(results, key=lambda each: each.metrics.l2)])}"]
+    figures.append(f"{islands} of which {stacked:,} stacked" if stacked else islands)
+    if has_packing and first.tile_count > 1:
+        figures.append(format_count(first.tile_count, "UDIM tile"))
+    if has_packing and first.is_upright:
+        figures.append("upright")
+    densities = sorted(result.metrics.texel_density for result in results)
+    figures.append(f"{_format_range([format_number(density) for density in densities])} px/m")
+    return ", ".join([*figures, *([f"{first.metrics.fill:.0%} filled"] if has_packing else [])])
+
+
+def _format_range(numbers: Sequence[str]) -> str:
+    """Return the first and the last of sorted numbers, or one where they are equal."""
+    return numbers[0] if numbers[0] == numbers[-1] else f"{numbers[0]} to {numbers[-1]}"
 
 
 def _describe_tiles(settings: UnwrapSettings) -> str:
