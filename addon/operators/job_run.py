@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 from ..core.errors import Cancelled
-from ..core.jobs.progress import BackgroundThread, Progress, Steps, subprogress, time_left
+from ..core.jobs.progress import NOTHING_CHANGED, BackgroundThread, Progress, Steps, subprogress, time_left
 
 TICK = 0.05  # seconds between two updates of the job
 
@@ -39,16 +39,19 @@ def run_job(job: Job) -> Steps[str]:
 class Run:
     """A job running in the background of the interface.
 
-    tool: whose panel shows the result. follow_up: is called after the undo step of a run that has finished.
+    tool: whose panel shows the result. follow_up: is called after the undo step of a run that has finished. cancel_message: what the user
+    reads about a cancelled run.
     """
 
-    def __init__(self, job: Job, title: str, tool: str = "", follow_up: Callable[[], None] = lambda: None) -> None:
+    def __init__(
+        self, job: Job, title: str, tool: str = "", follow_up: Callable[[], None] = lambda: None, cancel_message: str = NOTHING_CHANGED
+    ) -> None:
         self.title, self.tool, self.follow_up = title, tool, follow_up
         self.progress = Progress(0.0, "Starting")
         self.message: str | None = None
         self._job = job
         self._start = time.monotonic()
-        self._thread = BackgroundThread(job.core_steps())
+        self._thread = BackgroundThread(job.core_steps(), cancel_message)
         self._scene_steps: Steps[str] | None = None
 
     @property
@@ -90,7 +93,7 @@ class Run:
                 return False
             self._scene_steps = subprogress(self._job.scene_steps(self._thread.result()), self._job.core_fraction, 1.0)
         if self.cancel_requested:
-            raise Cancelled("Cancelled; nothing was changed.")
+            raise Cancelled(self._thread.cancel_message)
         end = time.monotonic() + TICK
         while time.monotonic() < end:
             try:

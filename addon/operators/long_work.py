@@ -9,7 +9,7 @@ from typing import Any
 
 import bpy
 
-from ..core.jobs.progress import run_to_end
+from ..core.jobs.progress import NOTHING_CHANGED, run_to_end
 from .error_reports import report_error, report_message, reports_errors
 from .job_run import TICK, Job, Run, run_job, status_text
 from .results import report_result, store_result, tool_of
@@ -153,13 +153,15 @@ class FARFIELD_OT_cancel_job(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def start_in_background(job: Job, title: str, tool: str = "", follow_up: Callable[[], None] = lambda: None) -> None:
+def start_in_background(
+    job: Job, title: str, tool: str = "", follow_up: Callable[[], None] = lambda: None, cancel_message: str = NOTHING_CHANGED
+) -> None:
     """Start `job` while the interface stays usable; no other job may run. It becomes one undo step with this title.
 
-    tool, follow_up: see `Run`.
+    tool, follow_up, cancel_message: see `Run`.
     """
     global _current
-    _current = Run(job, title, tool, follow_up)
+    _current = Run(job, title, tool, follow_up, cancel_message)
     bpy.app.timers.register(_watch_core, first_interval=TICK)
     bpy.app.handlers.load_pre.append(_cancel_before_loading)
     _show_status()

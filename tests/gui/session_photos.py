@@ -1,5 +1,5 @@
-"""A session in a Blender window: imports cameras through the file browser, looks at overlays and the coverage, cancels a merge once, merges
-photographs, and undoes it."""
+"""A session in a Blender window: imports cameras through the file browser, once with Esc while overlays are drawn, looks at overlays and
+coverage, cancels a merge once, merges photographs, and undoes it."""
 
 import json
 import sys
@@ -22,6 +22,7 @@ from session import (
     scene_state,
     start_session,
     wait_for_job,
+    wait_until,
 )
 
 WIDTH, HEIGHT, FOCAL = 640, 480, 700.0
@@ -109,19 +110,8 @@ def look_at_coverage(user: UserInput) -> Iterator[float]:
     results["coverage_hidden"] = not overlay.is_shown
 
 
-def session() -> Iterator[float]:
-    """Run the session; yields pauses in seconds."""
-    user = UserInput()
-    folder = FOLDER / "Projekt ü"
-    write_photographs(folder)
-    for name in ("Cube", "Camera"):
-        bpy.data.objects.remove(bpy.data.objects[name])
-    create_wall()
-    bpy.ops.ed.undo_push(message="Create Wall")
-    open_panel_alone("photos")
-    yield from user.open_sidebar()
-    save_screenshot("1-panel")
-
+def import_cameras(user: UserInput, folder: Path) -> Iterator[float]:
+    """Press the button, and choose the transforms.json in the file browser."""
     x, y = yield from user.find_button("farfield.photos_import_cameras")
     user.press("LEFTMOUSE", x, y)
     yield 2.0
@@ -135,6 +125,40 @@ def session() -> Iterator[float]:
     save_screenshot("3-browser")
     with bpy.context.temp_override(window=window, area=browsers[0], region=browsers[0].regions[0]):
         bpy.ops.file.execute()
+
+
+def cancel_overlays(user: UserInput, folder: Path) -> Iterator[float]:
+    """Import cameras, press Esc while their overlays are drawn, and undo the import."""
+    long_work = module("addon.operators.long_work")
+    report_error, messages = long_work.report_error, []
+    long_work.report_error = lambda operator, error, title: messages.append(str(error)) or report_error(operator, error, title)
+    yield from import_cameras(user, folder)
+    yield from wait_until(lambda: current_job() is not None)
+    viewport = user.region("WINDOW")
+    user.press("ESC", viewport.x + viewport.width // 2, viewport.y + viewport.height // 2)
+    yield from wait_for_job()
+    yield 0.5
+    long_work.report_error = report_error
+    overlays = [image.name for image in bpy.data.images if "Overlay" in image.name]
+    results["overlays_cancelled"] = [messages, sum(item.type == "CAMERA" for item in bpy.data.objects), overlays]
+    yield from user.press_undo()
+
+
+def session() -> Iterator[float]:
+    """Run the session; yields pauses in seconds."""
+    user = UserInput()
+    folder = FOLDER / "Projekt ü"
+    write_photographs(folder)
+    for name in ("Cube", "Camera"):
+        bpy.data.objects.remove(bpy.data.objects[name])
+    create_wall()
+    bpy.ops.ed.undo_push(message="Create Wall")
+    open_panel_alone("photos")
+    yield from user.open_sidebar()
+    save_screenshot("1-panel")
+
+    yield from cancel_overlays(user, folder)
+    yield from import_cameras(user, folder)
     yield 2.0
     yield from wait_for_job()
     yield 1.0

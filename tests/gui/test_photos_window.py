@@ -22,6 +22,11 @@ def test_the_file_browser_imports_cameras_without_loading_photographs(results):
     assert results["loaded"] == []
 
 
+def test_esc_while_overlays_of_an_import_are_drawn_says_that_the_cameras_stay(results):
+    message = "Cancelled; no overlay was drawn. The imported cameras stay."
+    assert results["overlays_cancelled"] == [[message], 5, []]
+
+
 def test_overlays_follow_the_import(results):
     assert results["overlays"] == [f"{index}.png Overlay" for index in range(5)]
 

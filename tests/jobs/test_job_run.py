@@ -90,6 +90,19 @@ def test_cancelling_in_the_scene_closes_its_steps():
     assert job.closed
 
 
+@pytest.mark.parametrize("is_in_scene", [False, True])
+@pytest.mark.parametrize(
+    ("given", "message"), [({}, "Cancelled; nothing was changed."), ({"cancel_message": "Half is done."}, "Half is done.")]
+)
+def test_a_cancelled_run_says_what_was_changed(given, message, is_in_scene):
+    run = job_run.Run(Job(steps=4 if is_in_scene else 100_000), "Count", **given)
+    advance_until(run, lambda: run.uses_scene if is_in_scene else run.progress.fraction > 0.0)
+    run.cancel()
+    with pytest.raises(Cancelled, match=message):
+        advance_until(run, lambda: False)
+    run.close()
+
+
 @pytest.mark.parametrize("half", ["core", "scene"])
 def test_errors_of_both_halves_are_raised(half):
     run = job_run.Run(Job(failing=half), "Count")

@@ -8,7 +8,7 @@ from threading import Event, Lock
 
 from ..errors import Cancelled
 from .chunks import MAX_THREADS, blas_thread_limit
-from .progress import Progress, Result, Steps, run_to_end
+from .progress import NOTHING_CHANGED, Progress, Result, Steps, run_to_end
 
 
 def run_in_parallel(tasks: Sequence[Steps[Result]]) -> Steps[list[Result]]:
@@ -25,7 +25,7 @@ def run_in_parallel(tasks: Sequence[Steps[Result]]) -> Steps[list[Result]]:
     def run(index: int) -> Result:
         def report(progress: Progress) -> None:
             if is_cancelled.is_set():
-                raise Cancelled("Cancelled; nothing was changed.")
+                raise Cancelled(NOTHING_CHANGED)
             with lock:
                 fractions[index] = progress.fraction
                 messages.put(Progress(sum(fractions) / len(tasks), progress.label))

@@ -17,6 +17,8 @@ from ..errors import Cancelled
 MIN_FRACTION, MIN_SECONDS = 0.1, 0.5  # Below these, the pace is too uncertain for an estimate of the time left,
 LONG_FRACTION, LONG_SECONDS = 0.02, 10.0  # unless it is that of a longer time.
 
+NOTHING_CHANGED = "Cancelled; nothing was changed."
+
 Result = TypeVar("Result")
 
 
@@ -86,11 +88,11 @@ class StageClock:
 class BackgroundThread(Generic[Result]):
     """Runs `steps` in a thread, from construction on.
 
-    `progress` is the latest step; any thread may read it. The steps must not access Blender's data.
+    `progress` is the latest step; any thread may read it. The steps must not access Blender's data. cancel_message: of `Cancelled`.
     """
 
-    def __init__(self, steps: Steps[Result]) -> None:
-        self.progress = Progress(0.0, "")
+    def __init__(self, steps: Steps[Result], cancel_message: str = NOTHING_CHANGED) -> None:
+        self.progress, self.cancel_message = Progress(0.0, ""), cancel_message
         self._cancel_event = threading.Event()
         executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="farfield")
         self._future: Future[Result] = executor.submit(run_to_end, steps, self._on_progress)
@@ -122,5 +124,5 @@ class BackgroundThread(Generic[Result]):
 
     def _on_progress(self, progress: Progress) -> None:
         if self.cancel_requested:
-            raise Cancelled("Cancelled; nothing was changed.")
+            raise Cancelled(self.cancel_message)
         self.progress = progress

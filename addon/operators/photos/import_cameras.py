@@ -148,7 +148,8 @@ def _draw_overlays(context: bpy.types.Context, cameras: Sequence[bpy.types.Objec
         return f" {run_to_end(run_job(job))}"
     if long_work.running_job_message():
         return f" Overlays were not drawn: {long_work.running_job_message()}."
-    long_work.start_in_background(job, FARFIELD_OT_photos_draw_overlays.bl_label, "photos")
+    cancel_message = "Cancelled; no overlay was drawn. The imported cameras stay."
+    long_work.start_in_background(job, FARFIELD_OT_photos_draw_overlays.bl_label, "photos", cancel_message=cancel_message)
     return " Overlays are being drawn; open them in the Image Editor."
 
 
