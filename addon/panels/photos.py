@@ -21,7 +21,9 @@ from ..operators.photos.registration import (
     FARFIELD_OT_photos_add_pairs,
     FARFIELD_OT_photos_register,
     FARFIELD_OT_photos_remove_pair,
+    describe_next_step,
     find_image_problem,
+    find_running,
 )
 from ..operators.photos.sources import disabled_reason, find_cameras
 from .sidebar import (
@@ -102,7 +104,13 @@ class FARFIELD_PT_photos_registration(ToolPanel, bpy.types.Panel):
         image = image_editors.shown_image(context)
         group = getattr(image, PROPERTY)
         column = settings_column(layout)
-        column.operator(FARFIELD_OT_photos_add_pairs.bl_idname, text="Add Pairs", icon="CURSOR")
+        running = find_running(context)
+        column.operator(FARFIELD_OT_photos_add_pairs.bl_idname, text="Add Pairs", icon="CURSOR", depress=running is not None)
+        obstacle = FARFIELD_OT_photos_add_pairs.disabled_reason(context)
+        if obstacle:
+            draw_message(column, obstacle, "INFO")
+        elif running is not None and running.properties.image == image.name:
+            draw_message(column, f"{describe_next_step(image)}. Enter: Finish, Esc: Cancel", "INFO")
         draw_pairs(layout, group)
         settings_column(layout).prop(group, "lens_camera")
         needed = MIN_PAIRS if group.lens_camera is None else MIN_PAIRS_WITH_LENS

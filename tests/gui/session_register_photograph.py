@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -10,7 +11,7 @@ from bpy_extras.view3d_utils import location_3d_to_region_2d
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not add the script's folder
 
-from session import UserInput, open_panel_alone, results, save_screenshot, scene_state, start_session
+from session import UserInput, module, open_panel_alone, results, save_screenshot, scene_state, start_session
 
 SIZE = (640, 480)
 FOCAL = 700.0
@@ -96,6 +97,27 @@ def create_photograph() -> bpy.types.Image:
     return image
 
 
+def read_panel(user: TwoEditors) -> tuple[list[str], list[bool], str]:
+    """Return the texts that the panel *Register Photograph* draws, whether each button is pressed, and why *Add Pairs* is disabled."""
+    panel, texts, pressed = bpy.types.FARFIELD_PT_photos_registration, [], []
+
+    class Layout:
+        def label(self, text="", **_options):
+            texts.append(text)
+
+        def operator(self, _operator, text="", depress=False, **_options):
+            pressed.append(depress)
+            return self
+
+        def __getattr__(self, name):
+            return lambda *_arguments, **_options: self
+
+    with bpy.context.temp_override(window=user.window, area=user.area, region=user.region("UI")):
+        panel.draw(SimpleNamespace(layout=Layout()), bpy.context)
+        reason = module("addon.operators.photos.registration").FARFIELD_OT_photos_add_pairs.disabled_reason(bpy.context)
+    return texts, pressed, reason
+
+
 def session() -> Iterator[float]:
     """Run the session; yields pauses in seconds."""
     for name in ("Camera", "Light"):
@@ -118,17 +140,35 @@ def session() -> Iterator[float]:
     results["before"] = scene_state()
     save_screenshot("1-panel")
 
+    user.view.ui_type = "OUTLINER"
+    yield 1.0
+    results["without_view"] = read_panel(user)
+    save_screenshot("1-without-view")
+    user.view.ui_type = "VIEW_3D"
+    yield 1.0
+    results["idle"] = read_panel(user)
+
     points = visible_points()
     positions = project(points)
     x, y = yield from user.find_button("farfield.photos_add_pairs")
     user.press("LEFTMOUSE", x, y)
     yield 0.5
+    results["started"] = read_panel(user)
+    save_screenshot("1-started")
     yield from user.click_image(positions[0])
+    results["clicked_photograph"] = read_panel(user)
     yield from user.click_mesh(points[0])
+    results["clicked_mesh"] = read_panel(user)
     results["pairs_before_esc"] = len(image.farfield_registration.pairs)
     user.press("ESC", x, y)
     yield 0.5
     results["pairs_after_esc"] = len(image.farfield_registration.pairs)
+    results["after_esc"] = read_panel(user)
+
+    for _ in range(2):
+        user.press("LEFTMOUSE", *(yield from user.find_button("farfield.photos_add_pairs")))
+        yield 0.5
+        results.setdefault("toggled", []).append(read_panel(user)[1][0])
 
     x, y = yield from user.find_button("farfield.photos_add_pairs")
     user.press("LEFTMOUSE", x, y)

@@ -17,6 +17,25 @@ def test_the_session_ran_to_its_end(results):
     assert results["error"] is None, results["error"]
 
 
+def test_the_panel_says_what_to_open(results):
+    texts, _, reason = results["without_view"]
+    assert reason == "Open a 3D Viewport next to the Image Editor"
+    assert reason in " ".join(texts)
+
+
+def test_the_button_is_pressed_and_the_panel_says_where_to_click_while_pairs_are_added(results):
+    texts = {name: " ".join(results[name][0]) for name in ("idle", "started", "clicked_photograph", "clicked_mesh", "after_esc")}
+    assert [results[name][1][0] for name in texts] == [False, True, True, True, False]
+    first = "Click a point in the photograph, then the same point on the mesh. Enter: Finish, Esc: Cancel"
+    assert first in texts["started"] and first in texts["clicked_mesh"]
+    assert "Click the same point on the mesh. Enter" in texts["clicked_photograph"]
+    assert "Click" not in texts["idle"] + texts["after_esc"]
+
+
+def test_the_pressed_button_finishes(results):
+    assert results["toggled"] == [True, False]
+
+
 def test_esc_discards_the_new_pairs(results):
     assert results["pairs_before_esc"] == 1
     assert results["pairs_after_esc"] == 0

@@ -16,6 +16,7 @@ from .. import image_editors, long_work
 from ..error_reports import report_message, reports_errors
 
 NO_IMAGE = "Open a photograph in the Image Editor"
+NO_VIEW = "Open a 3D Viewport next to the Image Editor"
 HELP = "Click a place in the photograph and the same place on the mesh. Backspace: Remove Last, Enter: Finish, Esc: Cancel"
 PASSED_EVENTS = {"MIDDLEMOUSE", "WHEELUPMOUSE", "WHEELDOWNMOUSE", "TRACKPADPAN", "TRACKPADZOOM", "MOUSEROTATE", "NDOF_MOTION"}
 
@@ -34,7 +35,12 @@ class _ImageOperator:
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Return whether there is an image to work on."""
-        return long_work.poll_with_reason(cls, find_image_problem(context) if image_editors.is_image_editor(context) else "")
+        return long_work.poll_with_reason(cls, cls.disabled_reason(context))
+
+    @classmethod
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
+        """Return why there is nothing to work on, or an empty string."""
+        return find_image_problem(context) if image_editors.is_image_editor(context) else ""
 
     def find_image(self, context: bpy.types.Context) -> bpy.types.Image:
         """Return the image of this name, or the one in the editor. Raises SettingsError if there is none, or it has no pixels."""
@@ -52,16 +58,29 @@ IMAGE_PROPERTY = bpy.props.StringProperty(
 
 
 class FARFIELD_OT_photos_add_pairs(_ImageOperator, bpy.types.Operator):
-    """Click places in the photograph and the same places on the mesh in a 3D Viewport"""
+    """Click places in the photograph and the same places on the mesh in a 3D Viewport. Press again, or Enter, to finish"""
 
     bl_idname = "farfield.photos_add_pairs"
     bl_label = "Add Pairs of Points"
     bl_options = {"REGISTER", "UNDO"}
-    __annotations__ = {"image": IMAGE_PROPERTY}
+    __annotations__ = {
+        "image": IMAGE_PROPERTY,
+        "is_finished": bpy.props.BoolProperty(description="Set by a second call", options={"HIDDEN", "SKIP_SAVE"}),
+    }
+
+    @classmethod
+    def disabled_reason(cls, context: bpy.types.Context) -> str:
+        """Return why there is no place to click, or an empty string."""
+        has_view = context.window is None or any(area.type == "VIEW_3D" for area in context.window.screen.areas)
+        return super().disabled_reason(context) or ("" if has_view else NO_VIEW)
 
     @reports_errors
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Start to wait for clicks."""
+        """Start to wait for clicks, or end that if it was started before."""
+        running = find_running(context)
+        if running is not None:
+            running.properties.is_finished = True
+            return {"CANCELLED"}
         image = self.find_image(context)
         self.image = image.name
         self._former = point_pairs.copy_pairs(image)
@@ -69,6 +88,7 @@ class FARFIELD_OT_photos_add_pairs(_ImageOperator, bpy.types.Operator):
         context.window_manager.modal_handler_add(self)
         context.workspace.status_text_set(HELP)
         context.window.cursor_modal_set("CROSSHAIR")
+        redraw_editors()
         return {"RUNNING_MODAL"}
 
     @reports_errors
@@ -87,11 +107,12 @@ class FARFIELD_OT_photos_add_pairs(_ImageOperator, bpy.types.Operator):
         image = bpy.data.images.get(self.image)
         if image is None:
             raise SettingsError(f'"{self.image}" was removed.')
-        if event.type in PASSED_EVENTS or event.value != "PRESS":
-            return {"PASS_THROUGH"}
-        if event.type in {"RET", "NUMPAD_ENTER"}:
+        is_enter = event.type in {"RET", "NUMPAD_ENTER"} and event.value == "PRESS"
+        if is_enter or self.is_finished:
             point_pairs.remove_incomplete(image)
             return {"FINISHED"}
+        if event.type in PASSED_EVENTS or event.value != "PRESS":
+            return {"PASS_THROUGH"}
         if event.type == "ESC":
             point_pairs.restore_pairs(image, self._former, is_registered=self._was_registered)
             return {"CANCELLED"}
@@ -134,6 +155,20 @@ class FARFIELD_OT_photos_add_pairs(_ImageOperator, bpy.types.Operator):
         context.workspace.status_text_set(None)
         context.window.cursor_modal_restore()
         redraw_editors()
+
+
+def find_running(context: bpy.types.Context) -> bpy.types.Operator | None:
+    """Return the operator that waits for clicks in the window of `context`, None if there is none."""
+    operators = () if context.window is None else context.window.modal_operators
+    return next((item for item in operators if item.bl_idname == FARFIELD_OT_photos_add_pairs.__name__), None)
+
+
+def describe_next_step(image: bpy.types.Image) -> str:
+    """Return where the user is to click next for the pairs of `image`."""
+    pairs = getattr(image, PROPERTY).pairs
+    if not len(pairs) or pairs[-1].has_point == pairs[-1].has_position:
+        return "Click a point in the photograph, then the same point on the mesh"
+    return f"Click the same point {'on the mesh' if pairs[-1].has_position else 'in the photograph'}"
 
 
 class FARFIELD_OT_photos_remove_pair(_ImageOperator, bpy.types.Operator):
