@@ -1,4 +1,5 @@
-"""A session in a Blender window: paints a mask in the Image Editor, cancels once, restores the image, compares, undoes and redoes."""
+"""A session in a Blender window: paints a mask in the Image Editor, restores the image and undoes that, cancels once, restores again,
+compares, undoes and redoes."""
 
 import sys
 from collections.abc import Iterator
@@ -119,12 +120,23 @@ def session() -> Iterator[float]:
     results["mask"] = {"name": user.shown.name, "mode": user.area.spaces.active.ui_mode}
     for row in (152, 164, 176, 188):
         yield from user.paint((50 / SIDE, row / SIDE), (450 / SIDE, row / SIDE))
-    mask = user.shown
+    mask, source_name, mask_name = user.shown, source.name, user.shown.name
     results["painted"] = float((read(mask)[..., 0] > 0.5).mean())
     results["covered"] = float((read(mask)[SCRATCH][..., 0] > 0.5).mean())
     results["segments"] = len(outline.outlines[source.session_uid].segments)
     save_screenshot("2-painted")
 
+    results["shown_with_mask"] = []
+    yield from user.press_and_start("farfield.restore_image")
+    yield from wait_for_job()
+    yield 2.0
+    for redo in (None, False, True, False):
+        if redo is not None:
+            yield from user.press_undo(redo=redo)
+            yield 1.0
+        results["shown_with_mask"].append([shown_name(user), user.area.spaces.active.ui_mode])
+    save_screenshot("2-undone")
+    source, mask = (bpy.data.images[name] for name in (source_name, mask_name))
     user.area.spaces.active.ui_mode = "VIEW"
     user.area.spaces.active.image = source
     yield 3.0

@@ -34,6 +34,11 @@ def test_the_outline_follows_the_strokes(results):
     assert results["segments"] > 4
 
 
+def test_undo_shows_the_mask_in_paint_mode_where_restore_was_pressed_with_it(results):
+    result, mask = [f"{NAME} restored", "VIEW"], [f"{NAME} mask", "PAINT"]
+    assert results["shown_with_mask"] == [result, mask, result, mask]
+
+
 def test_esc_leaves_the_file_unchanged(results):
     assert results["was_running"], "the restoration had ended before Esc was pressed"
     assert results["cancelled"] == results["before"]
