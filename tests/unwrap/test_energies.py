@@ -8,7 +8,8 @@ from scipy import sparse
 
 from farfield.addon.core.geometry.transforms import signed_areas
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.unwrap.energies.boundary_barrier import BoundaryBarrier, self_intersects
+from farfield.addon.core.unwrap.cutting.boundaries import boundary_edges
+from farfield.addon.core.unwrap.energies.boundary_barrier import BoundaryBarrier, overlaps_itself, self_intersects
 from farfield.addon.core.unwrap.energies.newton import minimize
 from farfield.addon.core.unwrap.energies.rest_shapes import compute_rest_shapes
 from farfield.addon.core.unwrap.energies.shape_barrier import ShapeBarrier, min_height_to_base
@@ -196,3 +197,14 @@ class FlatEnergy:
 def test_a_singular_hessian_ends_the_search_where_it_is():
     uv = np.arange(6.0).reshape(3, 2)
     assert np.array_equal(run_to_end(minimize(FlatEnergy(), uv, 1e-3, 5)), uv)
+
+
+@pytest.mark.parametrize(("fan", "first", "expected"), [(290.0, 300.0, False), (320.0, 220.0, True)])
+def test_triangles_around_a_vertex_overlap_if_they_fill_more_than_a_circle(fan, first, expected):
+    """A fan, and a small triangle of 50 degrees that has only its apex in common with it: their boundaries do not intersect."""
+    angles = np.radians([*np.linspace(0.0, fan, 13), first, first + 50.0])
+    lengths = np.array([*np.ones(13), 0.2, 0.2])
+    uv = np.concatenate([[[0.0, 0.0]], lengths[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])])
+    triangles = np.array([*((0, k, k + 1) for k in range(1, 13)), (0, 14, 15)])
+    assert not self_intersects(uv, boundary_edges(triangles))
+    assert overlaps_itself(uv, triangles) == expected

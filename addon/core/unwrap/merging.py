@@ -14,10 +14,10 @@ from ..arrays import TINY
 from ..geometry.convex_hulls import convex_hull
 from ..geometry.mesh import TriangleMesh, face_areas_and_normals
 from ..geometry.transforms import cross
-from ..jobs.progress import Progress, Steps
+from ..jobs.progress import Progress, Steps, run_to_end
 from .cutting.creases import fold_angles
 from .dividing import MAX_LENGTH, MAX_THINNESS, square_side
-from .overlaps import any_overlap
+from .overlaps import any_overlap, count_overlaps
 
 MAX_MISMATCH = 0.02  # Distance of two ends that are sewn together, relative to their edge.
 MAX_PLACEMENTS = 3  # Placements that are tried per pair of islands, those with the longest common border first.
@@ -159,7 +159,9 @@ class _Merging:
             joined, tolerance = 0.5 * (ends[0] + joints), SNAP_TOLERANCE * self._side
             fixed_uvs = _snap(self.corner_uvs[fixed.triangles], ends[0], joined, tolerance)
             uvs = _snap(self.corner_uvs[moved.triangles] @ rotation.T + translation, joints, joined, tolerance)
-            if any_overlap(fixed_uvs, uvs, GAP * self._side, joined, JOINT_RADIUS * self._side):
+            is_snapped = [self.corner_uvs[fixed.triangles] != fixed_uvs, self.corner_uvs[moved.triangles] @ rotation.T + translation != uvs]
+            overlaps = any_overlap(fixed_uvs, uvs, GAP * self._side, joined, JOINT_RADIUS * self._side)
+            if overlaps or any(map(_overlaps_itself, (fixed_uvs, uvs), is_snapped)):
                 self._is_blocked[placing_links] = True  # Islands only grow, so they will never fit there.
                 continue
             self.corner_uvs[fixed.triangles], self.corner_uvs[moved.triangles] = fixed_uvs, uvs
@@ -219,6 +221,16 @@ class _Merging:
                 self._islands[other].borders[a] = fixed.borders[other]
         for other in fixed.borders:
             self._push(min(a, other), max(a, other))
+
+
+def _overlaps_itself(corner_uvs: np.ndarray, is_snapped: np.ndarray) -> bool:
+    """Return whether triangles (N, 3, 2) overlap near those of which corners were snapped, (N, 3, 2) bool."""
+    snapped = corner_uvs[is_snapped.any(axis=(1, 2))]
+    if not len(snapped):
+        return False
+    low, high = corner_uvs.min(axis=1), corner_uvs.max(axis=1)
+    is_near = ((low <= snapped.max(axis=(0, 1))) & (high >= snapped.min(axis=(0, 1)))).all(axis=1)
+    return run_to_end(count_overlaps(corner_uvs[is_near])) > 0
 
 
 def _snap(corner_uvs: np.ndarray, positions: np.ndarray, targets: np.ndarray, tolerance: float) -> np.ndarray:

@@ -10,9 +10,8 @@ from ...geometry.edges import halfedge_ends
 from ...geometry.mesh import face_areas_and_normals, scaled_normals
 from ...geometry.transforms import frame_from_normal, normalize
 from ...jobs.progress import Progress, Steps
-from ..energies.boundary_barrier import self_intersects
+from ..energies.boundary_barrier import overlaps_itself
 from .bevels import divide_at_bevels
-from .boundaries import boundary_edges
 from .chart import Chart, label_components, split_into_components
 from .charts import MAX_EXCESS, CutChart, cut_to_disks
 from .creases import find_creases
@@ -132,4 +131,4 @@ def _project_flat(chart: Chart) -> np.ndarray | None:
     if not areas.min() > 0.0 or cosine < 0.9 * MIN_BEVEL_COSINE or excess > 1.5 * MAX_FLAT_EXCESS * areas.sum():
         return None
     uv = chart.vertices @ frame_from_normal(mean)[:2].T
-    return None if self_intersects(uv, boundary_edges(chart.triangles)) else uv
+    return None if overlaps_itself(uv, chart.triangles) else uv

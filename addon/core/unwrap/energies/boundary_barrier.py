@@ -13,10 +13,12 @@ from scipy.spatial import cKDTree
 from ...arrays import TINY, concatenate_ranges
 from ...geometry.proximity import sorted_unique
 from ...geometry.transforms import cross
+from ..cutting.boundaries import boundary_edges
 from .stretch_energy import smallest_positive_root
 
 STIFFNESS = 0.1  # Relative to the squared activation distance, which is close to the stretch energy of a triangle.
 MAX_EDGES_FOR_ALL_PAIRS = 100  # Up to this number all pairs of edges are tested.
+MAX_ANGLE_ERROR = 1e-6  # Radians, of the sum of angles around a vertex.
 MAX_SAMPLES_PER_EDGE = 16  # On average, to find what is close to long edges.
 
 
@@ -113,6 +115,16 @@ class _Contacts:
 def self_intersects(uv: np.ndarray, boundary: np.ndarray) -> bool:
     """Return whether two edges of a `boundary` (B, 2) that share no vertex intersect in uv (V, 2)."""
     return _any_intersect(uv[boundary[_close_edge_pairs(uv, boundary, 0.0)]])
+
+
+def overlaps_itself(uv: np.ndarray, triangles: np.ndarray) -> bool:
+    """Return whether a map uv (V, 2) without flipped `triangles` (T, 3) overlaps itself: its boundary intersects itself, or the triangles
+    around one of its vertices fill more than a circle."""
+    corners = uv[triangles]
+    following, previous = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
+    angles = np.arctan2(cross(following, previous), np.einsum("tkc,tkc->tk", following, previous))
+    sums = np.bincount(triangles.ravel(), angles.ravel())
+    return bool(sums.max() > 2.0 * np.pi + MAX_ANGLE_ERROR) or self_intersects(uv, boundary_edges(triangles))
 
 
 def _close_edge_pairs(uv: np.ndarray, boundary: np.ndarray, max_distance: float) -> np.ndarray:

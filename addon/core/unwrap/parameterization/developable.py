@@ -5,9 +5,8 @@ import numpy as np
 from ...geometry.edges import Edges, find_edges
 from ...jobs.chunks import slices
 from ...jobs.progress import Progress, Steps
-from ..cutting.boundaries import boundary_edges
 from ..cutting.chart import Chart
-from ..energies.boundary_barrier import self_intersects
+from ..energies.boundary_barrier import overlaps_itself
 
 MAX_ANGLE_DEFECT = 3e-3  # Radians: difference of the angle sum around an interior vertex from 2 pi.
 MAX_LENGTH_CHANGE = 1e-3  # Relative to an edge's length.
@@ -25,7 +24,7 @@ def unfold_developable(chart: Chart) -> Steps[np.ndarray | None]:
     uv_lengths, lengths = (np.linalg.norm(np.subtract(*positions[edges.ends.T]), axis=1) for positions in (uv, chart.vertices))
     if not (np.abs(uv_lengths - lengths) <= MAX_LENGTH_CHANGE * lengths).all():
         return None
-    return None if self_intersects(uv, boundary_edges(chart.triangles)) else uv
+    return None if overlaps_itself(uv, chart.triangles) else uv
 
 
 def _has_angle_defect(chart: Chart, edges: Edges) -> Steps[bool]:

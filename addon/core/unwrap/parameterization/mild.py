@@ -9,9 +9,8 @@ from scipy.sparse.linalg import splu
 
 from ...arrays import TINY
 from ...geometry.transforms import signed_areas
-from ..cutting.boundaries import boundary_edges
 from ..cutting.chart import Chart
-from ..energies.boundary_barrier import self_intersects
+from ..energies.boundary_barrier import overlaps_itself
 from ..energies.rest_shapes import RestShapes, compute_rest_shapes
 from ..energies.stretch_energy import compute_jacobians
 
@@ -54,7 +53,7 @@ def _is_good(shapes: RestShapes, triangles: np.ndarray, uv: np.ndarray) -> bool:
     energies = 0.25 * (squares + squares / determinants**2)
     if shapes.areas @ energies > (1.0 + MAX_EXCESS) * shapes.areas.sum() or energies.max() > MAX_TRIANGLE_ENERGY:
         return False
-    return not self_intersects(uv, boundary_edges(triangles))
+    return not overlaps_itself(uv, triangles)
 
 
 def _gradient_operators(shapes: RestShapes, triangles: np.ndarray, vertex_count: int) -> list[sparse.csr_array]:
