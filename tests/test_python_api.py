@@ -85,6 +85,7 @@ def test_levels_of_a_textured_bump():
     assert counts == pytest.approx([512, 256, 128], rel=0.02) and sizes == sorted(sizes) and sizes[0] == 0.0
 
 
+@pytest.mark.slow
 def test_a_package_of_three_levels():
     package = run("packages")["package"]
     assert package.report.levels == pytest.approx([512, 256, 128], rel=0.02)

@@ -63,12 +63,14 @@ class TestScene:
         heights = [(block.matrix_world @ vertex.co) for block in root.children for vertex in block.data.vertices]
         assert min(heights, key=lambda point: point.xy.length).z == pytest.approx(0.0, abs=0.3)
 
+    @pytest.mark.slow
     def test_the_cloud_of_the_pine_has_levels_and_cross_fades(self):
         items = bpy.data.collections["Pine Cloud"].objects
         quads = [item["farfield_quads"] for item in items if item["farfield_kind"] == "cloud"]
         assert len(quads) >= 2 and quads == sorted(quads, reverse=True)
         assert all("farfield_crossfade" in item for item in items) and bpy.data.objects["Pine"].hide_render
 
+    @pytest.mark.slow
     def test_the_rock_has_a_uv_map_an_image_and_coarser_levels(self):
         rock = bpy.data.objects["Rock"]
         assert [layer.name for layer in rock.data.uv_layers] == ["Unwrap"]
@@ -76,10 +78,12 @@ class TestScene:
         triangles = [len(level.data.polygons) for level in bpy.data.collections["Rock Levels"].objects]
         assert triangles[0] == len(rock.data.polygons) and triangles == sorted(set(triangles), reverse=True) and len(triangles) > 1
 
+    @pytest.mark.slow
     def test_the_forest_leaves_a_clearing(self):
         copies = [item for item in bpy.data.objects if item.instance_type == "COLLECTION"]
         assert {item.instance_collection.name for item in copies} == {"Pine Cloud", "Rock Levels"}
         assert len(copies) == int(SMALL["copies"]) and all(abs(item.location.x) > 9.0 for item in copies)
 
+    @pytest.mark.slow
     def test_the_scene_is_rendered(self, renders):
         assert renders == [bpy.context.scene.name]

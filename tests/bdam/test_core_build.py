@@ -72,6 +72,7 @@ def test_processes_build_the_same_bytes(built, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["store"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fraction", [0.8, *(pytest.param(fraction, marks=pytest.mark.exhaustive) for fraction in (0.02, 0.3, 0.55, 0.97))])
 def test_a_cancelled_build_resumes_with_the_same_bytes(built, tmp_path, fraction):
     _, source, image, files, _ = built

@@ -69,6 +69,7 @@ def random_positions(count=400):
     return np.random.default_rng(7).uniform(0.5, SIZE - 1.5, (count, 2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["ground.png", "ground.tif", *(pytest.param(name, marks=pytest.mark.exhaustive) for name in ("ground.jpg", "ground.webp"))]
 )

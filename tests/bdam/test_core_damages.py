@@ -144,6 +144,7 @@ def read_tile(store: TerrainStore, number: int) -> np.ndarray:
     return np.frombuffer(store.textures.read_coded(number).color, np.uint8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["structure.bdam", "structure-backup.bdam", "textures/textures.structure", "textures/textures-backup.tiles"]
 )

@@ -118,6 +118,7 @@ def test_incremental_updates_show_the_same_as_a_new_engine(folders, kind, exagge
         assert all(np.array_equal(first, second) for first, second in zip(shown, expected, strict=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["plain", "texture"])
 def test_tiles_weld_without_cracks_by_id_position_and_normal(folders, kind):
     scene = Scene(engine_of(folders, kind, exaggeration=1.7))

@@ -91,6 +91,7 @@ def random_points(store: TerrainStore, seed: int, count: int) -> np.ndarray:
     return np.stack([x, y], axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["whole", "geographic"])
 @settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(0, 60))

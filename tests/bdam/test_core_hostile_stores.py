@@ -309,6 +309,7 @@ VALUES = st.sampled_from([0, 1, -1, 2, 3, 16, 64, 2**31, 2**63, 1e18, 1e-15, 1e9
 JUNK = VALUES | st.floats() | st.integers() | st.none() | st.booleans() | st.text(max_size=3) | st.lists(VALUES, min_size=2, max_size=2)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 @settings(max_examples=60)
 @given(data=st.data())

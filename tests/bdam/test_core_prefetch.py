@@ -97,6 +97,7 @@ def test_turning_viewers_find_what_they_need(folders, path):
     assert ahead.in_moves < 0.15 * without.in_moves
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "values"), [pytest.param("plain", {}, marks=pytest.mark.exhaustive), ("texture", {}), ("plain", {"triangle_budget": 6000})]
 )

@@ -120,6 +120,7 @@ def image_nodes(objects) -> list[bpy.types.ShaderNodeTexImage]:
     return [node for material in materials for node in material.node_tree.nodes if node.type == "TEX_IMAGE"]
 
 
+@pytest.mark.slow
 def test_the_terrain_is_removed_unless_kept_and_images_stay(folder, camera):
     terrain = load(folder, shading="texture")
     assert bpy.ops.farfield.bdam_freeze() == {"FINISHED"}

@@ -76,6 +76,7 @@ def test_vertices_are_samples_of_the_field_at_their_place(folder):
         assert np.abs(positions[:, 2] - exaggeration * heights[rows, columns]).max() < 0.012 * exaggeration
 
 
+@pytest.mark.slow
 def test_tiles_meet_exactly(folder):
     terrain, _ = create(folder, tolerance=0.5)
     assert len(terrain.tiles()) > 4

@@ -120,6 +120,7 @@ def test_every_method_keeps_the_budget(method, mesh, budget):
     assert cloud.max_plane_distance <= 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("mesh", "budget"), [(shapes.sphere(4), 0.3), pytest.param(bush(), 0.1, marks=EXHAUSTIVE)], ids=["sphere", "tree"])
 def test_texture_of_all_levels_meets_the_budget(mesh, budget):
     cloud = build_test_cloud(mesh, texture_mb=budget, levels=2)
@@ -127,6 +128,7 @@ def test_texture_of_all_levels_meets_the_budget(mesh, budget):
     assert cloud.max_plane_distance <= 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fraction", [0.65, pytest.param(0.45, marks=EXHAUSTIVE)])
 def test_leaves_and_trunk_keep_their_fractions(fraction):
     mesh, budget = tree(leaves=26, sides=12, cuts=3), 34
@@ -231,6 +233,7 @@ def test_progress_never_falls(mesh, settings):
     assert fractions[0] >= 0.0 and fractions[-1] <= 1.0
 
 
+@pytest.mark.slow
 def test_proximity_graph_is_built_once_per_group(monkeypatch):
     sizes = []
     original = primitives_module.neighbor_pairs

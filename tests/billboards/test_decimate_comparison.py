@@ -184,6 +184,7 @@ class TestNotCompared:
         assert build(blender_scenes.ball(), textures=False).comparisons == [[]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_removed", [pytest.param(False, marks=pytest.mark.exhaustive), True])
 def test_nothing_is_left_when_the_build_ends_during_the_comparison(is_removed):
     ball = blender_scenes.ball(material=blender_scenes.create_material("Clay"))

@@ -74,6 +74,7 @@ def test_budgets_are_kept():
     assert 1.5e6 <= total <= 2.0e6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", [pytest.param(0.01, marks=pytest.mark.exhaustive), 0.04])
 @pytest.mark.parametrize("mesh", [sphere(rings=16), leaves(count=200)], ids=["sphere", "leaves"])
 def test_result_is_within_a_factor_of_two(mesh, error):

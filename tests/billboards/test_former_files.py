@@ -76,6 +76,7 @@ def test_materials_without_layers_are_still_created_as_they_were():
     assert describe_tree(material.node_tree) == FORMER["material"]
 
 
+@pytest.mark.slow
 def test_a_saved_cloud_renders_as_it_did_also_next_to_new_clouds(tmp_path):
     material = blender_scenes.create_material("Paint", (0.7, 0.3, 0.1), 0.3)
     level = build(blender_scenes.ball(material=material, segments=12))

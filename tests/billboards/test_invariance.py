@@ -48,6 +48,7 @@ def test_scaling_by_powers_of_two_is_exact(method, power):
     assert after.max_plane_distance == before.max_plane_distance
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", EXACT)
 def test_translation_by_integers_is_exact(method):
     offset = np.array([1000.0, -7.0, 64.0])
@@ -58,6 +59,7 @@ def test_translation_by_integers_is_exact(method):
             np.testing.assert_array_equal(getattr(moved.quads, name), getattr(level.quads, name))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "unit"),
     [
@@ -101,6 +103,7 @@ def test_rotation_changes_little():
         assert moved.texel_count == pytest.approx(level.texel_count, rel=0.1)
 
 
+@pytest.mark.slow
 def test_order_of_faces_changes_little():
     order = np.random.default_rng(0).permutation(len(BUMPY.triangles))
     before, after = bumpy_cloud(), build_test_cloud(TriangleMesh(BUMPY.vertices, BUMPY.triangles[order]), levels=1)

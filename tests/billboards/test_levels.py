@@ -116,6 +116,7 @@ def test_corners_give_way_where_that_keeps_a_level():
     assert [len(each.cutouts) for each in keep_lighter_levels([heavier, cut], 1.0)[0]] == [4 * count, count]
 
 
+@pytest.mark.slow
 def test_a_cloud_that_is_no_lighter_than_its_source_proposes_an_error():
     mesh = bumpy_sphere(8)
     cloud = build(mesh, error=0.01, levels=1)

@@ -83,6 +83,7 @@ def test_crowns_are_as_bright_as_their_source(crown, fitted):
     assert np.abs(after - 1.0).sum() < np.abs(before - 1.0).sum()
 
 
+@pytest.mark.slow
 def test_darkened_colors_can_be_restored(crown, fitted):
     textures = crown[2]
     near_visibility = fitted.front.near_visibility
@@ -104,6 +105,7 @@ def test_wrong_colors_are_corrected():
     assert (fitted.front.color[covered] / true.color[covered])[:, :3].mean(axis=0) == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.slow
 def test_objects_that_moved_change_nothing(crown):
     source, cloud, textures, item = crown
     item.location.x += 3.0
@@ -122,6 +124,7 @@ def test_solids_keep_their_color_and_opacity():
     assert np.array_equal(fitted.front.color[..., 3], textures[0].front.color[..., 3])
 
 
+@pytest.mark.slow
 def test_no_data_remains_after_the_fit_or_cancelling(crown):
     source, cloud, textures, item = crown
     before, scene = blender_scenes.count_data(), bpy.context.scene

@@ -31,6 +31,7 @@ def open_edges(corners: np.ndarray) -> int:
     return int((sums != 0).sum())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rings", "error"), [pytest.param(24, 0.02, marks=pytest.mark.exhaustive), (12, 0.06)])
 def test_a_solid_becomes_a_closed_mesh_within_the_error(rings, error):
     mesh = sphere(rings)
@@ -47,6 +48,7 @@ def test_a_solid_becomes_a_closed_mesh_within_the_error(rings, error):
     assert len(level.quads) < len(quads.quads), "charts show more than quads"
 
 
+@pytest.mark.slow
 def test_charts_are_height_fields_within_their_rectangles():
     (level,) = build(sphere(10), error=0.06).levels
     for quad, chart in enumerate(level.charts):
@@ -102,6 +104,7 @@ def test_parts_within_the_error_of_a_mesh_are_drawn_on_it():
     assert all(chart is not None for chart in level.charts)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("settings", [{"solid_parts": "quads"}, {"nested_levels": True}, {"method": "hough"}])
 def test_other_clouds_have_quads_only(settings):
     (level,) = build(sphere(12), error=0.05, **settings).levels

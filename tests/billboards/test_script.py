@@ -216,6 +216,7 @@ def test_obj_output_has_the_same_quads(cube):
     assert materials.read_text(encoding="utf-8") == "# of the user\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [pytest.param("cloud.glb", marks=pytest.mark.exhaustive), "...glb"]
 )  # Blender's exporter finds no extension in the second

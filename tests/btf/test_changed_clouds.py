@@ -101,6 +101,7 @@ class TestMovedClouds:
         for before, after in zip(expected, captured(prepare_job(cloud, tmp_path / "b")), strict=True):
             np.testing.assert_array_equal(after, before)
 
+    @pytest.mark.slow
     def test_an_applied_location(self, cloud, tmp_path):
         """Blender moves the vertices then."""
         expected = captured(prepare_job(cloud, tmp_path / "a"))
@@ -113,6 +114,7 @@ class TestMovedClouds:
         for before, after in zip(expected, captured(prepare_job(cloud, tmp_path / "b")), strict=True):
             np.testing.assert_allclose(after, before, atol=1e-5)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("stored", [None, "text", [1, 2], {"a": 1}])
     def test_clouds_that_do_not_tell_where_they_were_built(self, cloud, tmp_path, stored):
         expected = captured(prepare_job(cloud, tmp_path / "a"))
@@ -151,6 +153,7 @@ def damage_image(level: bpy.types.Object) -> None:
     blender_scenes.damage_packed_image(pbr_image(level, "Front normal"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -199,6 +202,7 @@ def count_data() -> list[int]:
 class TestEditMode:
     """Blender keeps the quads of a level in Edit Mode elsewhere."""
 
+    @pytest.mark.slow
     def test_a_bake_is_refused(self, cloud, tmp_path):
         edit(cloud.levels[1])
         before = count_data()
@@ -242,6 +246,7 @@ class TestLinkedDuplicates:
         assert level.data.materials[0].name == pbr_name
         assert all(PBR_MATERIAL not in item and AMBIENT not in item for item in (*cloud.levels, duplicate))
 
+    @pytest.mark.slow
     def test_a_duplicate_outside_of_the_cloud_is_restored_too(self, finished_views, cloud):
         level, duplicate = cloud.levels[0], cloud.levels[0].copy()
         bpy.context.scene.collection.objects.link(duplicate)
@@ -258,6 +263,7 @@ def test_the_model_emission_needs_no_color_map(baked, cloud):
     bake_finished_views(cloud)
 
 
+@pytest.mark.slow
 def test_suns_are_linked_where_their_properties_were_deleted(baked_file):
     level = open_cloud(baked_file).levels[0]
     del level[sun_direction_property(0)], level[sun_color_property(0)]
@@ -267,6 +273,7 @@ def test_suns_are_linked_where_their_properties_were_deleted(baked_file):
     assert len(level.animation_data.drivers) == 6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", [float("nan"), "large"])
 def test_errors_that_are_not_numbers_are_rejected(cloud, tmp_path, value):
     """By the reader of the cloud or by the bake."""
@@ -278,6 +285,7 @@ def test_errors_that_are_not_numbers_are_rejected(cloud, tmp_path, value):
 class TestChangesDuringABake:
     """While worker processes render, the user may do anything."""
 
+    @pytest.mark.slow
     def test_renamed_data_is_found(self, baked, cloud, tmp_path):
         job = prepare_job(cloud, tmp_path)
         scene, source = bpy.context.scene, cloud.sources[0]
@@ -289,6 +297,7 @@ class TestChangesDuringABake:
         assert "Another" not in run_to_end(job.scene_steps(baked))
         assert all(level[PBR_MATERIAL].startswith("Another PBR") for level in cloud.levels)
 
+    @pytest.mark.slow
     def test_removed_sources_are_not_needed(self, baked, cloud, tmp_path):
         job = prepare_job(cloud, tmp_path)
         bpy.data.materials.remove(cloud.sources[0].data.materials[0])
@@ -296,6 +305,7 @@ class TestChangesDuringABake:
         run_to_end(job.scene_steps(baked))
         assert all(PBR_MATERIAL in level for level in cloud.levels)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         ("change", "message"),
         [
@@ -331,6 +341,7 @@ class TestLinkedClouds:
         (cloud,) = (found for found in clouds_in(bpy.context.scene) if found.collection == collection)
         return cloud
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("override", [False, True])
     def test_a_linked_cloud_is_rejected(self, cloud_file, tmp_path, override):
         cloud = self.link(cloud_file, override=override)
@@ -340,6 +351,7 @@ class TestLinkedClouds:
         with pytest.raises(RuntimeError, match="linked from another file"):
             bpy.ops.farfield.btf_bake(**BAKE)
 
+    @pytest.mark.slow
     def test_suns_are_not_linked_to_a_linked_cloud(self, baked_file):
         linked = self.link(baked_file, override=False)
         bpy.context.view_layer.objects.active = linked.levels[0]
@@ -348,6 +360,7 @@ class TestLinkedClouds:
         assert bpy.ops.farfield.btf_export.poll()
 
 
+@pytest.mark.slow
 def test_an_ordinary_mesh_needs_a_cloud_first(cloud):
     bpy.ops.mesh.primitive_cube_add()
     assert disabled_reason(bpy.context) == "Build a billboard cloud first, or select one or its original"
@@ -355,6 +368,7 @@ def test_an_ordinary_mesh_needs_a_cloud_first(cloud):
     assert disabled_reason(bpy.context) == ""
 
 
+@pytest.mark.slow
 def test_a_cloud_without_drawn_faces_is_of_an_older_version(cloud, tmp_path):
     for level in cloud.levels:
         del level.data[clouds.DRAWN]

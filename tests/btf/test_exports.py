@@ -91,6 +91,7 @@ def read_image(path: Path) -> np.ndarray:
     return read_pixels(image)
 
 
+@pytest.mark.slow
 def test_textures_are_read_back_from_the_material(cloud):
     (level,) = cloud.levels
     texels, texture = read_level_texels(level), read_relightable_texture(level)
@@ -300,6 +301,7 @@ def test_moved_quads_are_exported(cloud, tmp_path):
     assert (export(cloud, tmp_path / "images") / "coverage").is_dir()
 
 
+@pytest.mark.slow
 def test_an_octahedral_atlas_is_captured_from_the_source(cloud, tmp_path, monkeypatch):
     assert inspect.signature(export_job.write_octahedral_atlas).parameters["frames_per_side"].default == 12
     capture_small = partial(export_job.write_octahedral_atlas, frames_per_side=5, frame_resolution=32, samples=8)
@@ -417,6 +419,7 @@ def test_pbr_clouds_and_missing_images_are_rejected(cloud, tmp_path):
     assert not bpy.ops.farfield.btf_export.poll()
 
 
+@pytest.mark.slow
 def test_the_operator_writes_the_format_of_its_suffix(cloud, tmp_path):
     path = tmp_path / "cloud.btf"
     assert bpy.ops.farfield.btf_export(filepath=str(path), directions="bonn") == {"FINISHED"}

@@ -52,6 +52,7 @@ def render_source_and_impostor(objects, impostor, view, samples=6):
         return [studio.render(visible, view.direction, view.center, view.pixel_size, view.resolution) for visible in renders]
 
 
+@pytest.mark.slow
 def test_the_normals_heights_and_alpha_of_a_ball():
     ball = blender_scenes.ball(material=blender_scenes.create_material("Red", (0.8, 0.2, 0.1), 0.3), segments=48)
     ball.location = (100.0, -50.0, 7.0)

@@ -93,6 +93,7 @@ def test_the_mesh_of_a_solid_part_is_relit_and_keeps_its_silhouette(extension):
     assert comparison.compute_scores()[..., 0].min() > 34.0
 
 
+@pytest.mark.slow
 def test_the_silhouette_of_every_baked_view_is_that_of_the_source(cloud):
     directions = np.array([[0.1, -0.2, 0.97], [0.9, 0.3, -0.3], [-0.5, -0.6, -0.6]])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -101,6 +102,7 @@ def test_the_silhouette_of_every_baked_view_is_that_of_the_source(cloud):
         assert metrics.alpha_iou(source[..., 3], baked[..., 3]) > 0.93
 
 
+@pytest.mark.slow
 def test_the_cloud_casts_the_shadow_of_the_source(cloud):
     ground = blender_scenes.card("Ground")
     ground.scale, ground.location = (6.0, 6.0, 1.0), (0.0, 0.0, -3.0)
@@ -151,6 +153,7 @@ def test_emission_needs_no_light():
     np.testing.assert_allclose(baked[inside][:, :3].mean(axis=0), source[inside][:, :3].mean(axis=0), rtol=0.1)
 
 
+@pytest.mark.slow
 def test_the_scene_keeps_nothing_else_and_the_pbr_material_returns(cloud):
     level = cloud.levels[0]
     assert level.animation_data is None or not level.animation_data.drivers
@@ -161,6 +164,7 @@ def test_the_scene_keeps_nothing_else_and_the_pbr_material_returns(cloud):
     assert level.data.materials[0].name == pbr_name and PBR_MATERIAL not in level
 
 
+@pytest.mark.slow
 def test_solids_need_no_backs(cloud):
     labels = {node.label for node in nodes_in(cloud.levels[0].data.materials[0].node_tree) if node.type == "TEX_IMAGE"}
     assert labels == {
@@ -173,11 +177,13 @@ def test_solids_need_no_backs(cloud):
     } | {"Alpha Basis"}
 
 
+@pytest.mark.slow
 def test_linking_suns_is_not_needed(cloud):
     with pytest.raises(RuntimeError, match=r"lit by all lights|poll\(\) failed"):
         bpy.ops.farfield.btf_link_suns()
 
 
+@pytest.mark.slow
 def test_only_baked_lighting_can_be_exported_as_radiance(cloud, tmp_path):
     with pytest.raises(GeometryError, match="bake it with the model Emission"):
         read_relightable_texture(cloud.levels[0])
@@ -188,12 +194,14 @@ def test_only_baked_lighting_can_be_exported_as_radiance(cloud, tmp_path):
     assert not is_upper_hemisphere(cloud.levels[0])
 
 
+@pytest.mark.slow
 def test_a_cloud_without_textures_needs_the_model_emission():
     build_cloud(blender_scenes.box(), textures=False)
     with pytest.raises(RuntimeError, match="has no textures, which the model Surface needs"):
         bpy.ops.farfield.btf_bake(**QUICK_BAKE)
 
 
+@pytest.mark.slow
 def test_a_map_without_pixels_is_named(tmp_path):
     built = build_cloud(blender_scenes.box(), error=20.0, samples=1)
     image = pbr_image(built.levels[0], map_label(SIDES[0], MAPS[0]))
@@ -205,6 +213,7 @@ def test_a_map_without_pixels_is_named(tmp_path):
         check_maps(built.levels[0])
 
 
+@pytest.mark.slow
 def test_a_packed_map_that_is_damaged_is_named():
     built = build_cloud(blender_scenes.box(), error=20.0, samples=1)
     image = pbr_image(built.levels[0], map_label(SIDES[1], MAPS[0]))
@@ -213,11 +222,13 @@ def test_a_packed_map_that_is_damaged_is_named():
         check_maps(built.levels[0])
 
 
+@pytest.mark.slow
 def test_common_shader_parameters_are_copied(cloud):
     (shader,) = {node for node in nodes_in(cloud.levels[0].data.materials[0].node_tree) if node.type == "BSDF_PRINCIPLED"}
     assert shader.inputs["Coat Roughness"].default_value == pytest.approx(0.4)
 
 
+@pytest.mark.slow
 def test_common_shader_parameters_are_those_of_all_materials():
     materials = [blender_scenes.create_material(name) for name in ("First", "Second")]
     for material in materials:

@@ -201,6 +201,7 @@ class TestDrivers:
         assert not may_run_python_drivers()
 
 
+@pytest.mark.slow
 def test_nothing_is_kept_of_a_cancelled_bake_but_finished_views(cloud):
     """They are found again in the folder of the user, under the same settings."""
     settings = BtfSettings(**SMALL, executor="serial")

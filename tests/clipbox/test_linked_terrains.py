@@ -127,6 +127,7 @@ def test_terrains_of_other_files_are_rejected_and_stay_unchanged(sessions, kind,
     assert results["reasons when local"] == ["", ""]
 
 
+@pytest.mark.slow
 def test_a_local_terrain_with_linked_meshes_gets_meshes_of_its_own(sessions):
     results, _ = sessions[LINKED_MESHES]
     assert results["reason"] == "" and results["update"] == results["follow"] == results["create"] == ["FINISHED"]

@@ -58,6 +58,7 @@ def assert_is_sentence(error: FileError, path: Path) -> str:
     return text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "fraction", [pytest.param(0.05, marks=pytest.mark.exhaustive), 0.3, pytest.param(0.97, marks=pytest.mark.exhaustive)]
 )
@@ -67,6 +68,7 @@ def test_truncated_files_are_one_sentence(openvdb, tmp_path, fraction):
     assert sentence_of(tmp_path / "cut.vdb")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, *(pytest.param(seed, marks=pytest.mark.exhaustive) for seed in (4, 5))])
 def test_damaged_files_are_one_sentence(openvdb, tmp_path, monkeypatch, seed):
     monkeypatch.setattr(openvdb_files, "TIMEOUT_SECONDS", 20.0)  # in some files the library never finds the end
@@ -93,6 +95,7 @@ def test_a_file_that_takes_too_long_is_one_sentence(openvdb, tmp_path, monkeypat
     assert "was not read within 0.01 s" in sentence_of(write_fog(openvdb, tmp_path / "fog.vdb"))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not openvdb_worker.MEMORY_USE.exists(), reason="only Linux limits the memory of a process")
 def test_a_file_that_fills_the_memory_is_one_sentence(tmp_path, monkeypatch):
     """The worker runs as always, but what it reads would need 64 GiB."""

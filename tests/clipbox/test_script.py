@@ -97,6 +97,7 @@ def test_a_blend_contains_a_terrain_that_can_follow(folder):
     assert len(blocks) > 8 and all(block.data.materials[0] == terrain.material for block in blocks)
 
 
+@pytest.mark.slow
 def test_the_end_of_a_path_equals_a_build_from_scratch(folder):
     path = folder / "path.csv"
     path.write_text("x,y,z\n" + "".join(f"{step},{0.5 * step},20\n" for step in range(1, 9)), encoding="utf-8")

@@ -130,6 +130,7 @@ def add_tree_of_cards() -> tuple[bpy.types.Object, np.ndarray]:
     return item, vertices
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bounces", [8, 32])
 def test_a_limit_of_bounces_that_darkens_cards_is_named(bounces):
     add_camera()

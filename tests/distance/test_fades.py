@@ -44,6 +44,7 @@ def render_center(scene: bpy.types.Scene) -> np.ndarray:
     return pixels.mean(axis=(0, 1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scales", "fraction", "size"),
     [
@@ -63,6 +64,7 @@ def test_levels_of_an_instance_have_the_expected_fractions(scene, scales, fracti
     assert np.allclose(render_center(scene), [1.0 - fraction, fraction, 0.0, 1.0], atol=0.04)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("distance", "color"), [(10.0, (1, 0, 0)), (40.0, (0, 1, 0)), (100.0, (0, 0, 1))])
 def test_an_object_outside_of_the_fade_range_is_one_level(scene, distance, color):
     box = add_box("Box", (0.0, distance, 0.0), size=0.5)

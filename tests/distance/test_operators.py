@@ -232,6 +232,7 @@ def test_a_second_build_uses_the_levels_of_the_first(camera):
     assert len(level_modifiers(bpy.data.objects["Ball"])) == 1
 
 
+@pytest.mark.slow
 def test_an_edited_material_or_mesh_makes_new_levels(camera):
     ball = add_ball()
     build(**QUICK)

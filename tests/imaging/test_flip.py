@@ -34,6 +34,7 @@ def image_pairs() -> list[tuple[np.ndarray, np.ndarray]]:
     return [(noise, disturbed), (checkers, moved), (gradient, gradient[:, ::-1]), (lines, np.zeros_like(lines)), (green, blue)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pixels_per_degree", [None, 31.5])
 def test_agrees_with_the_program_of_the_authors(pixels_per_degree):
     pairs = image_pairs()

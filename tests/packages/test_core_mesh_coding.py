@@ -53,6 +53,7 @@ def check_round_trip(mesh: TexturedMesh) -> None:
         assert len(decoded.positions) == manifest.levels[index].vertex_count
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MODELS)
 def test_decoded_levels_are_the_encoded_ones(name):
     check_round_trip(MODELS[name])

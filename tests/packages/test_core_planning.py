@@ -84,6 +84,7 @@ def test_measured_errors_fall_with_levels_and_states():
     assert table.residual < 0.1
 
 
+@pytest.mark.slow
 def test_the_exponent_predicts_small_errors_as_well_as_large_ones():
     levels = [make_sphere(rings) for rings in (4, 8, 24, 48)]
     noise = np.random.default_rng(5).random((64, 64, 3)).astype(np.float32)

@@ -73,6 +73,7 @@ def test_texture_coordinates_without_area_are_seen_at_the_smallest_footprint():
     assert visibility[..., 0].sum() == pytest.approx(1.0) and not visibility[..., 1:].any()
 
 
+@pytest.mark.slow
 def test_every_increment_is_a_tile_by_itself(built):
     for index, part in enumerate(built.increments.split(built.content)):
         texture = built.textures[built.increments.textures[index]]
@@ -262,6 +263,7 @@ def test_unused_texels_are_filled_smoothly():
     assert np.ptp(filled[~used]) <= np.ptp(source.image) and not used.all()
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=4)
 @given(st.integers(1, 70), st.integers(1, 70), st.sampled_from([16, 32, 48]))
 def test_textures_of_any_size_can_be_sent(width, height, tile_size):

@@ -62,6 +62,7 @@ class TestView:
         monkeypatch.setattr(webbrowser, "open", urls.append)
         return urls
 
+    @pytest.mark.slow
     def test_the_package_that_was_exported_last_is_served_until_the_next_one(self, folder, opened):
         ball = textured_ball(4, "Bäll")
         ball.select_set(True)

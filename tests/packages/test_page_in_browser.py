@@ -181,6 +181,7 @@ def test_size_on_screen_decides_what_is_loaded(page, package):
         assert page.evaluate(read)[:2] == [[len(manifest.levels) - 1, manifest.state_count - 1], len(manifest.levels) - 1]
 
 
+@pytest.mark.slow
 def test_the_local_server_sends_all_of_a_package(page, package):
     with closing(LocalServer(package[0])) as server:
         page.open(server.url, 640, 640)

@@ -55,6 +55,7 @@ class TestSeams:
         result = run_to_end(merge(mesh, uvs, photographs, settings))
         assert np.sqrt(np.mean((result.colors - texture)[result.source >= 0] ** 2)) < 0.01
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("blending", ["level", "spline", "poisson"])
     def test_steps_are_spread(self, blending, two_photographs):
         mesh, uvs, photographs, step = two_photographs
@@ -101,6 +102,7 @@ class TestMasks:
 class TestSharpening:
     """Back-projection."""
 
+    @pytest.mark.slow
     def test_detail_comes_back(self):
         mesh, uvs = grid(12)
         texture = rough_texture()
@@ -112,6 +114,7 @@ class TestSharpening:
             errors.append(np.sqrt(np.mean((result.colors - texture)[seen] ** 2)))
         assert errors[1] < 0.6 * errors[0]
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("method", ["average", pytest.param("best", marks=pytest.mark.exhaustive)])
     def test_smooth_textures_stay(self, method):
         mesh, uvs = grid(12, lambda x, y: 0.1 * np.sin(2 * x) * np.cos(3 * y))

@@ -52,6 +52,7 @@ def disc(x, y, radius):
     return lambda points: np.hypot(points[:, 0] - x, points[:, 1] - y) < radius
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("split", [False, True])
 def test_stripes_continue_through_a_hole(split):
     mesh, uvs = make_plane(split=split)

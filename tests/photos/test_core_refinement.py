@@ -72,6 +72,7 @@ class TestMatching:
 class TestRefine:
     """Cameras."""
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         "degrees, shift",
         [pytest.param((0.3, -0.2, 0.4), (0.0, 0.0, 0.0), marks=pytest.mark.exhaustive), ((1.2, -0.9, 1.0), (0.02, 0.03, -0.05))],
@@ -86,6 +87,7 @@ class TestRefine:
         assert found.before == pytest.approx(before, rel=0.2) and found.after < 0.1
         assert distance_in_pixels(mesh, found.camera, truth) < 0.1 and found.camera.lens == truth.lens
 
+    @pytest.mark.slow
     def test_focal_length_and_distortion(self):
         mesh, _, photographs = shoot(3)
         truth = photographs[2].camera
@@ -120,6 +122,7 @@ class TestRefine:
         assert found.camera.rotation == pytest.approx(photographs[0].camera.rotation, abs=1e-3)
         assert distance_in_pixels(mesh, found.camera, photographs[0].camera) < 0.1
 
+    @pytest.mark.slow
     def test_uniform_paint_is_refused(self):
         mesh, _, photographs = shoot(2, texture=np.full((8, 8, 3), 0.5, np.float32))
         [found] = run_refine(mesh, photographs, [0])

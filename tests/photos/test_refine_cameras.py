@@ -70,6 +70,7 @@ def select(*names):
         item.select_set(item.name in names)
 
 
+@pytest.mark.slow
 def test_a_selected_camera_moves_back_and_undo_works(scene, capfd):
     former = turn("1")
     wrong = distance_in_pixels(world(scene), read_camera("1"), former)
@@ -96,6 +97,7 @@ def test_the_camera_of_an_image_with_its_lens(scene):
     assert found.lens != former.lens and found.lens.focal[0] == pytest.approx(300.0, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_lens_of_blender_keeps_its_place(scene):
     """Without a stored lens, the focal length in millimeters changes."""
     data = bpy.data.objects["2"].data

@@ -64,6 +64,7 @@ class TestCore:
     def run(self, image, **arguments):
         return run_to_end(restore_arrays(image, square(), RestoreSettings(split="manual", sub_bands=0), **arguments)).pixels
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(("factor", "offset"), [(1.0, 0.0), (1e4, 1e6)])
     def test_stripes_continue_however_large_the_values_of_a_further_map_are(self, factor, offset):
         stripes = np.where(np.indices(SHAPE)[1] % 8 < 4, np.float32(0.8), np.float32(0.1))[..., None]

@@ -112,6 +112,7 @@ class TestGuide:
         assert same.max() == pytest.approx(0.0, abs=1e-3) and other.min() > 0.1
 
 
+@pytest.mark.slow
 def test_progress_of_a_completion_grows():
     steps = []
     run_to_end(restore(paint(X - 60.0), HOLE, RestoreSettings(), source_mask=None), steps.append)

@@ -153,6 +153,7 @@ class TestInvariants:
         assert (result.pixels[~mask] == image[~mask]).all() and np.isfinite(result.pixels).all()
         assert (result.pixels[mask] >= image[~mask].min(axis=0)).all() and (result.pixels[mask] <= image[~mask].max(axis=0)).all()
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         ("method", "side", "radius"), [("regions", 160, 12), pytest.param("pixels", 140, 10, marks=pytest.mark.exhaustive)]
     )

@@ -107,6 +107,7 @@ def test_brightness_of_the_mask_counts_with_its_alpha():
     assert np.array_equal(read(restore("source"))[:2], read(bpy.data.images["source"])[:2]), "transparent white is not painted"
 
 
+@pytest.mark.slow
 def test_texture_comes_from_the_source_mask():
     random = np.random.default_rng(3)
     pixels = np.ones((48, 96, 4), np.float32)

@@ -148,6 +148,7 @@ def test_bright_opaque_pixels_of_a_mask_count(folder, name):
     assert_restored(folder / "image.png", folder / "out.png")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("extension", "orientation"),
     [(".jpg", orientation) for orientation in range(2, 9)]

@@ -79,6 +79,7 @@ def test_a_rotated_instance_under_a_rotated_sun_looks_the_same(level):
     assert not np.allclose(after, render(instance, 2.0, center, radius), rtol=0.02, atol=0.01)
 
 
+@pytest.mark.slow
 def test_the_day_needs_no_python(level):
     scene = bpy.context.scene
     (collection,) = level.users_collection
@@ -94,6 +95,7 @@ def test_the_day_needs_no_python(level):
         assert direction[2] > 0.0
 
 
+@pytest.mark.slow
 def test_the_nodes_of_unlinked_suns_are_muted(level):
     muted = {node.label: node.mute for node in level.data.materials[0].node_tree.nodes if node.type == "GROUP" and node.label}
     assert muted == {label: number > 0 for number in range(SUNS) for label in sun_node_labels(number)}
@@ -108,11 +110,13 @@ def test_its_times_of_day_are_rendered_by_another_process(forest_file):
     assert len(np.unique(sheet.round(2).reshape(-1, 3), axis=0)) > 100
 
 
+@pytest.mark.slow
 def test_a_file_that_cannot_be_rendered_is_named(tmp_path):
     with pytest.raises(FileError, match=r"none\.blend.* was not rendered: .*Open the file"):
         run_to_end(demo_forest.render_day(tmp_path / "none.blend"))
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1))
 def test_trees_keep_their_distance(seed):
     positions = demo_forest.tree_positions(np.random.default_rng(seed))

@@ -65,6 +65,7 @@ def test_leaf_cards_are_flat_rectangles_in_one_cell_of_the_atlas(skeleton):
     assert vertices[:, 2].min() > 0.5
 
 
+@pytest.mark.slow
 def test_sprigs_have_leaves_and_transparent_pixels(atlas):
     side = demo_materials.SPRIGS_PER_SIDE * demo_materials.SPRIG_PIXELS
     assert atlas.shape == (side, side, 4)

@@ -77,11 +77,13 @@ def test_a_scheduler_that_does_not_answer_is_named(monkeypatch):
         pass
 
 
+@pytest.mark.slow
 def test_a_scheduler_without_workers_is_rejected(scheduler):
     with pytest.raises(FarfieldError, match="has no workers"), open_executor(f"dask:{scheduler.address}"):
         pass
 
 
+@pytest.mark.slow
 def test_a_scheduler_gives_the_replies_of_a_serial_run(farm, tmp_path):
     folder = tmp_path / "shared ü"
     folder.mkdir()

@@ -34,6 +34,7 @@ def ball_and_level(relit):
     return [bpy.data.objects[name] for name in relit[1:]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("upper", [False, True])
 def test_pairs_are_unit_directions_above_the_horizon_if_requested(upper):
     views, suns = held_out_pairs(24, upper)
@@ -63,6 +64,7 @@ def test_a_copy_of_the_source_gets_the_best_score(ball_and_level):
     assert list(level[sun_color_property(0)]) == [0.0, 0.0, 0.0]
 
 
+@pytest.mark.slow
 def test_every_relightable_candidate_is_lit(ball_and_level):
     ball, level = ball_and_level
     second = level.copy()
@@ -89,6 +91,7 @@ def test_only_the_source_takes_the_reference_samples(ball_and_level):
     assert source_noise < 0.3 * candidate_noise
 
 
+@pytest.mark.slow
 def test_scores_do_not_depend_on_the_margin():
     random = np.random.default_rng(0)
     pair = random.uniform(0.2, 0.8, (2, 20, 24, 4)).astype(np.float32)
@@ -97,6 +100,7 @@ def test_scores_do_not_depend_on_the_margin():
     assert crop_and_encode(*large)[0].shape == (30, 34, 3)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(reference_tools.find_python() is None, reason="flip-evaluator is not installed: run python3 scripts/reference_tools.py")
 def test_flip_is_zero_for_equal_images_and_grows_with_the_difference():
     random = np.random.default_rng(1)
@@ -108,6 +112,7 @@ def test_flip_is_zero_for_equal_images_and_grows_with_the_difference():
     assert opposite > 0.9
 
 
+@pytest.mark.slow
 def test_without_the_reference_tools_there_is_no_flip(monkeypatch):
     monkeypatch.setattr(reference_tools, "find_python", lambda: None)
     assert mean_flip([(np.zeros((16, 16, 3)),) * 2]) is None

@@ -67,6 +67,7 @@ def test_stdout_is_the_result_line(outcomes):
     assert (outcome.returncode, outcome.stdout) == (0, "1 cube: größe 樹\n"), outcome.stderr
 
 
+@pytest.mark.slow
 def test_verbose_adds_the_messages_of_blender(outcomes):
     outcome = outcomes["--verbose"]
     assert outcome.returncode == 0, outcome.stderr

@@ -175,6 +175,7 @@ def two_outputs(nodes: Nodes) -> None:
     nodes.tree.links.new(nodes.add("BsdfDiffuse", nodes.image.outputs["Color"]), other.inputs["Surface"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "equivalent"),
     [

@@ -78,6 +78,7 @@ def test_colors_of_faces_are_spread_to_their_corners():
     assert np.array_equal(spread_colors(own), own.reshape(6, 4))
 
 
+@pytest.mark.slow
 def test_levels_have_a_plot_with_three_charts(ball):
     bpy.ops.farfield.texmesh_levels(**SMALL)
     (levels,) = level_sets_in(bpy.context.scene)

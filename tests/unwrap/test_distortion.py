@@ -55,6 +55,7 @@ def test_a_map_of_twice_the_width():
     assert metrics.symmetric_dirichlet == pytest.approx(2.0 * 2.5)
 
 
+@pytest.mark.slow
 @given(size=st.floats(0.01, 50.0))
 def test_symmetric_dirichlet_is_that_of_the_best_scale(size):
     mesh, corner_uvs = flat_sheet()

@@ -79,6 +79,7 @@ def test_without_the_setting_each_fills_its_own_texture():
     assert run_to_end(count_overlaps(np.concatenate(maps))) > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("settings", [{}, {"stack_equal_islands": True, "max_tiles": 3}, {"importance": "gradual", "islands": "one"}])
 def test_one_object_is_unwrapped_as_without_the_setting(settings):
     bpy.ops.mesh.primitive_cylinder_add(vertices=12, calc_uvs=False, scale=(1.0, 2.0, -1.0))

@@ -128,6 +128,7 @@ def least_axis(primitives: Primitives, members: np.ndarray) -> np.ndarray:
 class TestRounds:
     """Rounds of mutual best pairs."""
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(("error", "level"), [(0.02, 0), pytest.param(0.05, 0, marks=pytest.mark.exhaustive), (0.02, 2)])
     @pytest.mark.parametrize("mesh", [pytest.param(sphere(12), marks=pytest.mark.exhaustive), bumpy_sphere(11)], ids=["sphere", "bumpy"])
     def test_rounds_are_about_as_good_as_one_pair_at_a_time(self, mesh, error, level):

@@ -150,6 +150,7 @@ def test_only_damaged_and_missing_views_are_rendered_again(bake, undisturbed):
     assert bake.read_views() == undisturbed and not temporary_file.exists()
 
 
+@pytest.mark.slow
 def test_the_remaining_views_of_a_crashed_worker_are_retried(bake, undisturbed):
     assert run_to_end(bake.steps(fault=CRASH_ONCE)) == 2 * VIEWS
     first, second = (line.split()[1:] for line in bake.log("start"))

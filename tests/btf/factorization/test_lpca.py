@@ -62,6 +62,7 @@ def test_one_cluster_equals_global_factors():
     assert local_factors.clusters == 1 and not local_factors.labels.any()
 
 
+@pytest.mark.slow
 def test_factors_are_deterministic_for_any_memory_budget(monkeypatch):
     values, _ = clustered_values(clusters=3, rank=2)
     views = sample_views(values, 0.8)
