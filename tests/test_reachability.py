@@ -103,6 +103,7 @@ def test_every_module_of_the_extension_is_reached():
     assert not unreached, "neither the extension nor a script needs\n" + "\n".join(unreached)
 
 
+@pytest.mark.slow
 def test_every_function_and_class_of_the_extension_is_used():
     unused = unused_definitions()
     assert not unused, "neither the extension nor a script uses\n" + "\n".join(unused)

@@ -35,6 +35,7 @@ def imported_modules(nodes: list[ast.AST]) -> Iterator[str]:
             yield node.module
 
 
+@pytest.mark.slow
 def test_the_extension_uses_the_network_only_to_show_packages_on_this_machine():
     found = {(path.name, name) for path in ADDON.rglob("*.py") for name in imported_modules(walk_file(path))}
     used = {entry for entry in found if entry[1].partition(".")[0] in NETWORK | CLUSTERS}

@@ -105,6 +105,7 @@ def test_damaged_parts_of_a_cancelled_build_are_made_again(built, tmp_path, patt
     assert read_files(tmp_path / "store") == files
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", ["source", "image", "settings"])
 def test_the_work_folder_of_another_build_is_refused(tmp_path, change):
     source, image, options = write_source(tmp_path), write_image(tmp_path), {}
@@ -124,6 +125,7 @@ def test_the_work_folder_of_another_build_is_refused(tmp_path, change):
     assert read_files(tmp_path / ".store.farfield-build") == before and not (tmp_path / "store").exists()
 
 
+@pytest.mark.slow
 def test_a_store_does_not_depend_on_how_many_samples_are_measured_at_once(built, tmp_path, monkeypatch):
     _, source, image, files, _ = built
     monkeypatch.setattr(simplified_diamonds, "MAX_MEASURED_SAMPLES", 37)

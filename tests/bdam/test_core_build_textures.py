@@ -85,6 +85,7 @@ def test_a_plain_image_covers_the_field(tmp_path, name):
         assert np.abs(sample(store, positions)[:, :2] - expected).max() <= (3.0 if name.endswith(("tif", "png")) else 6.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [pytest.param(np.uint8, marks=pytest.mark.exhaustive), np.uint16])
 def test_a_georeferenced_image_lies_at_its_position(tmp_path, dtype):
     pixels = gradient(400, 400, dtype)

@@ -159,6 +159,7 @@ def test_a_missing_file_that_exists_twice_is_reported_and_costs_nothing(folder, 
         assert move(BdamEngine(folder, ViewSettings()), viewer)[0].warnings == (damage.sentence,)
 
 
+@pytest.mark.slow
 def test_without_structure_and_backup_a_folder_is_no_terrain(folder):
     path = folder / "structure.bdam"
     with moved_away(path), moved_away(backup_path(path)), pytest.raises(FileError, match="is no terrain built by Farfield"):
@@ -191,6 +192,7 @@ def test_the_geometry_of_another_terrain_with_as_many_patches_is_refused(folder,
     TerrainStore(folder).close()
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 12))
 def test_cuts_avoid_any_damaged_patches_without_cracks(folder, viewer, seed, count):

@@ -138,6 +138,7 @@ def test_tiles_weld_without_cracks_by_id_position_and_normal(folders, kind):
     assert len(levels) > 2, "the tolerance gives patches of several levels"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["plain", "texture"])
 def test_there_are_at_most_64_tiles_each_within_its_texture_tile(folders, kind):
     scene = Scene(engine_of(folders, kind, tolerance=0.1))

@@ -71,6 +71,7 @@ def covered_cells(mesh: CutMesh) -> float:
     return 0.5 * float(areas.sum()) if (areas > 0).all() else np.inf
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["perspective", "orthographic"])
 def test_random_cameras_see_no_cracks(store, kind):
     random, cache = np.random.default_rng(7), PatchCache(store)

@@ -64,6 +64,7 @@ def are_open_edges_on_border(x: np.ndarray, y: np.ndarray, triangles: np.ndarray
     return bool(len(edges)) and bool((on_border[0] | on_border[1]).all())
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 6), tolerance=st.floats(0.3, 30.0), exaggeration=st.floats(0.2, 5.0))
 def test_the_union_cut_satisfies_every_frame_without_cracks(stores, seed, count, tolerance, exaggeration):

@@ -102,6 +102,7 @@ def test_heights_are_interpolated_in_the_triangles_of_the_samples(stores, name, 
     assert np.allclose(heights, expected, rtol=0.0, atol=1e-7) and np.allclose(normals, expected_normals, rtol=0.0, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["whole", "hole", "geographic"])
 def test_heights_at_samples_are_the_samples(stores, name):
     y, x = np.mgrid[0:ROWS, 0:COLUMNS]
@@ -191,6 +192,7 @@ def measure_in_meters(mesh: CutMesh, positions: np.ndarray) -> np.ndarray:
     return distances
 
 
+@pytest.mark.slow
 def test_cuts_of_a_geographic_grid_are_within_their_errors_in_meters(tmp_path):
     y, x = np.mgrid[0:65, 0:65]
     heights = 30.0 * x + 20.0 * y  # a plane in the grid, so that all errors come from the curvature of its lines

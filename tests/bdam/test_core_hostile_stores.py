@@ -133,6 +133,7 @@ HEADERS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("values", HEADERS, ids=lambda values: str(values)[:40])
 def test_a_header_with_a_wrong_type_or_range_is_damaged(folder, values):
     change_header(folder, **values)

@@ -112,6 +112,7 @@ def test_moves_read_much_less_and_show_the_same(folders, kind, values):
     assert ahead.between < 4 * without.in_moves
 
 
+@pytest.mark.slow
 def test_nothing_is_read_ahead_of_viewers_who_stay(folders):
     flight = Flight(folders["plain"], True)
     run_to_end(flight.engine.prefetch())

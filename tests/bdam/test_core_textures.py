@@ -209,6 +209,7 @@ def test_an_interrupted_build_goes_on_and_repairs_what_is_damaged(tmp_path):
     assert (tmp_path / "again" / "textures.tiles").read_bytes() == expected
 
 
+@pytest.mark.slow
 def test_a_lone_faint_texel_is_known_up_to_the_root(tmp_path):
     pixels = np.zeros((4 * STEP, 4 * STEP, 4), np.uint8)
     pixels[1234, 987] = 80, 90, 100, 1
@@ -219,6 +220,7 @@ def test_a_lone_faint_texel_is_known_up_to_the_root(tmp_path):
         assert root[row, column].tolist() == [80, 90, 100, 1] and root[..., 3].sum() == 1
 
 
+@pytest.mark.slow
 def test_a_texel_is_the_same_in_every_window_however_its_pixels_are_read(monkeypatch):
     monkeypatch.setattr(resampling, "STRIP_PIXELS", 5_000)
     monkeypatch.setattr(resampling, "encode_premultiplied", lambda image: image)  # floats show what bytes hide

@@ -60,6 +60,7 @@ def test_a_damaged_tile_is_named_and_the_others_are_read(store_folder):
         assert all(store.read(number).shape[:2] == (512, 512) for number in range(len(store)) if number != damaged)
 
 
+@pytest.mark.slow
 def test_any_damage_of_the_structure_is_found_when_the_store_is_opened_and_costs_nothing(store_folder):
     path = store_folder / STRUCTURE_FILE
     with TextureStore(store_folder) as store:
@@ -148,6 +149,7 @@ def test_the_error_by_magnification_is_the_size_of_texels(stored):
         assert np.array_equal(store.own_errors, store.errors)
 
 
+@pytest.mark.slow
 def test_the_error_by_features_is_zero_where_nothing_visible_disappears(tmp_path):
     """A fine pattern in one corner of the finest level, a coarser one in the opposite corner, one color elsewhere."""
     grid = TextureGrid(65, 65, 64, (2.0, 2.0), 3)

@@ -130,6 +130,7 @@ def test_the_terrain_is_removed_unless_kept_and_images_stay(folder, camera):
     assert not [material for material in bpy.data.materials if TEXTURE_KEY in material and material.users]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shading", ["texture", "slope"])
 def test_a_camera_path_is_frozen_within_the_tolerance_in_every_frame(folder, camera, shading):
     terrain = load(folder, shading=shading, tolerance=2.0)

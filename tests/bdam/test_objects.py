@@ -66,6 +66,7 @@ def world_positions(terrain: SceneTerrain) -> np.ndarray:
     )
 
 
+@pytest.mark.slow
 def test_vertices_are_samples_of_the_field_at_their_place(folder):
     heights = hills(SIZE, SIZE)
     for exaggeration in (1.0, 2.5):

@@ -113,6 +113,7 @@ def test_larger_budgets_give_more_quads_and_smaller_errors():
         assert fewer.levels[0].error > more.levels[0].error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("method", "mesh", "budget"), [("hough", shapes.bumpy_sphere(6), 30), ("decimate", shapes.box(cuts=2), 6)])
 def test_every_method_keeps_the_budget(method, mesh, budget):
     cloud = build_test_cloud(mesh, quads=budget, levels=1, method=method)
@@ -140,6 +141,7 @@ def test_leaves_and_trunk_keep_their_fractions(fraction):
     assert abs(connected - (1.0 - fraction) * budget) <= 0.12 * budget
 
 
+@pytest.mark.slow
 def test_leaves_get_the_unused_budget_of_a_box():
     mesh = concatenate([shapes.box((0.5, 0.5, 2.0), cuts=1), shapes.leaf_cards(50, size=0.05)])
     loose, connected = count_quads(mesh, build_test_cloud(mesh, quads=40, levels=1).levels[0])
@@ -147,6 +149,7 @@ def test_leaves_get_the_unused_budget_of_a_box():
     assert 0.85 * 40 <= loose + connected <= 40
 
 
+@pytest.mark.slow
 def test_group_above_its_fraction_gets_the_same_error_as_the_other():
     mesh = bush()
     cloud = build_test_cloud(mesh, quads=12, loose_fraction=0.1, levels=1)

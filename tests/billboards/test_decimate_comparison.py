@@ -180,6 +180,7 @@ class TestNotCompared:
         monkeypatch.setattr(decimate_comparison, "MAX_PIXELS", 20)
         assert run_to_end(compare_with_decimate(source, [ball], shown)) == []
 
+    @pytest.mark.slow
     def test_clouds_without_textures(self):
         assert build(blender_scenes.ball(), textures=False).comparisons == [[]]
 

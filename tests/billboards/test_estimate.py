@@ -42,6 +42,7 @@ def estimate_sizes(mesh, **settings):
     return [(level.quads, level.texels) for level in estimate_levels(sample_geometry(mesh, "mesh"), BillboardSettings(**settings))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mesh", [sphere(), leaves()], ids=["sphere", "leaves"])
 def test_scaling_and_translation_change_only_the_error(mesh):
     moved = TriangleMesh(mesh.vertices * 1000.0 + [1e4, 0.0, -1e4], mesh.triangles)

@@ -89,6 +89,7 @@ def render_center(scene: bpy.types.Scene) -> tuple[np.ndarray, np.ndarray]:
     return center[..., :3].mean(axis=(0, 1)), center[..., 3].mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera_type", ["PERSP", "ORTHO"])
 @pytest.mark.parametrize("pixel", [0.01, 0.025, 0.035, 0.045, 0.07])
 def test_levels_have_the_expected_fractions(scene, camera_type, pixel):
@@ -164,6 +165,7 @@ def build_cloud(source, **settings):
     return source, clouds_in(bpy.context.scene)[0]
 
 
+@pytest.mark.slow
 def test_operator_adds_crossfade_and_show_level_removes_it(scene):
     box, cloud = build_cloud(blender_scenes.box("Würfel", emissive(RED)), error=20.0)
     box.modifiers.new("Subdivision", "SUBSURF")

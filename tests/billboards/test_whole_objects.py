@@ -143,6 +143,7 @@ class TestHouse:
         hidden.hide_set(True)
         return parts
 
+    @pytest.mark.slow
     def test_is_one_cloud_with_the_materials_of_all_parts(self, house, capfd):
         assert describe_selection(bpy.context, True) == "One cloud of 6 objects. 2 objects without a surface."
         assert describe_selection(bpy.context, False) == "6 clouds, one per object. 2 objects without a surface."

@@ -104,6 +104,7 @@ def test_textures_are_read_back_from_the_material(cloud):
     assert texture.pbr_alpha.max() == 1.0
 
 
+@pytest.mark.slow
 def test_a_folder_contains_an_image_per_view_and_light(cloud, tmp_path):
     folder = export(cloud, tmp_path / "Ordner ü")
     (level,) = cloud.levels

@@ -174,6 +174,7 @@ def test_clustered_texels_match_the_arrays_under_uniform_lighting():
     np.testing.assert_allclose(sample_texels(image, render_view, card)[..., :3], expected, rtol=0.01, atol=0.002)
 
 
+@pytest.mark.slow
 def test_parallax_mapping_matches_the_arrays():
     """The normal and depth vary over the card; it is seen obliquely, from both sides, and on a rotated object."""
     card = create_card(create_pbr_material(np.array([0.0, 0.0, 1.0])))
@@ -246,6 +247,7 @@ def test_one_set_of_components_matches_the_arrays():
     assert np.abs(rendered - expected).mean() < 0.04 * expected.mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("roughness", "is_rotated"),
     [(0.15, False), (0.5, True), *(pytest.param(*case, marks=pytest.mark.exhaustive) for case in ((0.15, True), (0.5, False)))],
@@ -320,6 +322,7 @@ def test_the_specular_lobe_is_that_of_cycles():
         assert rendered == pytest.approx(expected, rel=0.02)
 
 
+@pytest.mark.slow
 def test_the_mean_of_blended_texels_is_bilinear():
     card = create_relightable_card(4, 4, blend_texels=True)
     texture = read_relightable_texture(card)

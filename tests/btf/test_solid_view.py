@@ -16,6 +16,7 @@ def shown_images(cloud) -> list[bpy.types.Image | None]:
     return [shown_image(level.data.materials[0]) for level in cloud.levels]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("model", "crossfade"),
     [

@@ -157,6 +157,7 @@ def test_a_bake_killed_at_a_random_moment_resumes_from_its_finished_views(cloud_
     assert left <= {".shard", ".json"}, left
 
 
+@pytest.mark.slow
 def test_the_work_folder_of_another_cloud_is_rejected(cloud, tmp_path):
     prepare_job(cloud, tmp_path)
     bpy.ops.mesh.primitive_cone_add()

@@ -376,6 +376,7 @@ class TestErrors:
         with pytest.raises(FileError, match="save it without compression"):
             read_file(tmp_path / "packed.tif")
 
+    @pytest.mark.slow
     @pytest.mark.skipif(bpy is None, reason="Blender reads these files")
     def test_files_that_blender_cannot_read(self, tmp_path):
         before = len(bpy.data.images)

@@ -127,6 +127,7 @@ def test_ticks_show_the_same_as_a_build_from_scratch():
     assert terrain.viewer.tolist() == [0.0, 0.0, 20.0] and mesh_count > 0
 
 
+@pytest.mark.slow
 def test_meshes_are_reused():
     camera_at(0.0, 0.0, 20.0)
     terrain = create()

@@ -39,6 +39,7 @@ def cards(is_double: bool = False) -> tuple[np.ndarray, np.ndarray, np.ndarray, 
     return vertices, triangles, uvs, find_cutouts(vertices, triangles, owners, np.ones(COUNT, bool), read)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_double", [False, True])
 def test_pieces_stand_in_leaves_and_cover_as_much(is_double):
     vertices, triangles, uvs, cutouts = cards(is_double)

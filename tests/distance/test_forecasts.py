@@ -30,6 +30,7 @@ def placed(nearest: list[float], error_factor: float = 1.0, is_seen: bool = True
     return PlacedLevels(np.array(SIZES), np.array([100, 10, 1]), error_factor, sizes, sizes * 1.001, np.broadcast_to(seen, sizes.shape))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "max_error", "fade_range"),
     [

@@ -218,6 +218,7 @@ def test_show_originals_and_back(camera):
     assert shown() == rendered() == levels != []
 
 
+@pytest.mark.slow
 def test_a_second_build_uses_the_levels_of_the_first(camera):
     add_ball()
     build(**QUICK)
@@ -360,6 +361,7 @@ def test_the_method_of_an_object_and_its_error_factor(camera):
     assert not any(QUADS in item for item in read_chains()[0].objects), "no cloud"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("budget", [{"triangle_budget": 60}, {"texture_budget": 1e-3}])
 def test_a_budget_raises_the_error_until_levels_fit(camera, budget):
     ball = add_ball(20.0)
@@ -482,6 +484,7 @@ def test_a_scene_without_anything_heavy_is_refused(camera):
     assert describe_file() == before
 
 
+@pytest.mark.slow
 def test_only_selected_objects_are_made_ready_and_removed(camera):
     first, second = add_ball(), add_ball(9.0)
     for selected in (first, second):

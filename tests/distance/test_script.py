@@ -28,6 +28,7 @@ def scene_file(tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_the_scene_and_the_report(scene_file):
     out, report = scene_file.with_name("ready.blend"), scene_file.with_name("report.json")
     message = run(scene_file, "--out", out, "--report", report, "--min-triangles", "10", "--no-billboard-cloud")

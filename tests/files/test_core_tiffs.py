@@ -170,6 +170,7 @@ class CountedFile(io.FileIO):
         return count
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("compression", "tile"), [("none", None), ("none", (64, 64)), ("deflate", (64, 64)), ("deflate", None)])
 def test_only_the_window_is_read_and_decoded(tmp_path, monkeypatch, compression, tile):
     values = np.random.default_rng(1).integers(0, 1000, (1536, 2048)).astype(np.int16)

@@ -30,6 +30,7 @@ def shifts():
         yield pytest.param(x, y, deviation, marks=() if row % len(sizes) == column else pytest.mark.exhaustive)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("x", "y", "deviation"), list(shifts()))
 def test_a_shift_is_found_to_a_fraction_of_a_pixel(x, y, deviation):
     image = details(deviation)

@@ -118,6 +118,7 @@ def test_the_page_refuses_what_python_refuses(tmp_path):
     assert 6 < expected.count("RangeError") < 54
 
 
+@pytest.mark.slow
 @needs_node
 def test_the_page_bounds_what_it_allocates(tmp_path):
     content, manifest = pack(order_with_levels(torus(16, 12, 4))[1])

@@ -194,6 +194,7 @@ def test_tiles_of_a_level_cover_the_texture_once(width, height, side):
         np.testing.assert_array_equal(sum_tiles(np.ones(pyramid.shapes[0]), level).sum(), times.size)
 
 
+@pytest.mark.slow
 def test_table_agrees_with_the_manifest(built):
     table = encode_increments(built.increments)
     manifest = Manifest(
@@ -295,6 +296,7 @@ def test_what_cannot_be_coded_is_refused():
         run_to_end(build_textures([make_source(role="height")], SETTINGS, DENSITY, 4))
 
 
+@pytest.mark.slow
 def test_detail_that_no_image_shows_is_coded_once():
     source = make_source((256, 256))
     built = run_to_end(build_textures([source], replace(SETTINGS, tile_size=16, pixels=16), DENSITY, 4))

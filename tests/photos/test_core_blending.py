@@ -61,6 +61,7 @@ class TestSeams:
         mesh, uvs, photographs, step = two_photographs
         assert largest_step(merge_best(mesh, uvs, photographs, blending)) < 0.5 * step
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("blending", ["spline", pytest.param("poisson", marks=pytest.mark.exhaustive)])
     def test_steps_are_spread_across_uv_seams(self, blending, two_photographs):
         """The border between the photographs is a seam of the UV map: colors meet there as they do without it."""

@@ -31,6 +31,7 @@ def error(photographs, texture, *, highlights):
     return np.sqrt(np.mean((result.colors - texture)[result.source >= 0] ** 2))
 
 
+@pytest.mark.slow
 def test_highlights_that_move_with_the_camera_fade():
     mesh, uvs = grid(12)
     texture = 0.5 * smooth_texture()
@@ -39,6 +40,7 @@ def test_highlights_that_move_with_the_camera_fade():
     assert errors[1] < 0.7 * errors[0]
 
 
+@pytest.mark.slow
 def test_matte_surfaces_stay():
     mesh, uvs = grid(12)
     texture = smooth_texture()

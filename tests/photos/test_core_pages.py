@@ -103,6 +103,7 @@ def test_islands_on_different_pages_do_not_overlap():
 class TestMerge:
     """Whole merges with two pages."""
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         ("method", "fill"),
         [

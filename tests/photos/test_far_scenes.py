@@ -56,6 +56,7 @@ def signal_to_noise(found):
     return -10.0 * np.log10(np.mean((found - smooth_texture())[inner] ** 2))
 
 
+@pytest.mark.slow
 def test_the_script_moves_mesh_and_cameras(scene):
     texture, out = scene / "t.png", scene / "out.blend"
     arguments = ("--cameras", scene / "transforms.json", "--images", scene / "images", "--texture", texture, "--out", out, "--size", SIZE)

@@ -123,6 +123,7 @@ def render_colors(item, path):
 class TestTiles:
     """UDIM tiles."""
 
+    @pytest.mark.slow
     def test_each_tile_has_the_colors_of_its_islands(self, photographs):
         item = add_square(to_tiles)
         merge_scene(maps=True, sharpen=True)
@@ -194,6 +195,7 @@ class TestKeep:
         assert [link.from_node.type for link in red.node_tree.links if link.to_socket.name == "Base Color"] == ["RGB"]
         assert len(np.unique([polygon.material_index for polygon in item.data.polygons])) == 2
 
+    @pytest.mark.slow
     def test_a_second_merge_replaces_only_the_images(self, photographs):
         item = add_square(stack, (new_material("Rot", (1.0, 0.0, 0.0)), new_material("Metal", (0.0, 0.0, 1.0))))
         merge_scene(materials="keep")
@@ -204,6 +206,7 @@ class TestKeep:
         assert material != former and image_of(material) != image and not former.use_fake_user
         assert len(material.node_tree.nodes) == nodes and material.name.startswith("Metal Photo Texture")
 
+    @pytest.mark.slow
     def test_faces_and_slots_without_a_material(self, photographs):
         item = add_square(stack, (new_material("Rot", (1.0, 0.0, 0.0)), None))
         merge_scene(materials="keep")

@@ -87,6 +87,7 @@ def test_a_selected_camera_moves_back_and_undo_works(scene, capfd):
     assert distance_in_pixels(world(scene), read_camera("1"), former) == pytest.approx(wrong, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_the_camera_of_an_image_with_its_lens(scene):
     former = turn("2")
     select()

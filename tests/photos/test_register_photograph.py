@@ -75,6 +75,7 @@ def test_copies_restore_all_values():
     assert point_pairs.copy_pairs(image) == copies and group.is_registered and len(group.pairs) == 7
 
 
+@pytest.mark.slow
 def test_a_camera_is_created_and_a_second_run_moves_it(capfd):
     image = add_image()
     group = add_pairs(image, 8)

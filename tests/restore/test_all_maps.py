@@ -104,6 +104,7 @@ def maps(empty_scene):
 class TestOperator:
     """The setting All Maps of Material."""
 
+    @pytest.mark.slow
     def test_the_height_still_follows_the_color(self, maps, capfd):
         def deviation(color, height):
             inside = square()

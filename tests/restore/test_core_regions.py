@@ -148,6 +148,7 @@ def test_copies_alone_are_attempts_where_they_cost_about_as_little_as_a_fill(rat
     assert all((each.sources == fill.sources).all() != is_copy for each, is_copy in zip(attempts, are_copies, strict=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("half_width", "fill_count", "is_shallow"), [(9, 2, True), (9, 1, False), (14, 2, False)])
 def test_a_shallow_hole_takes_its_fill_by_patches_and_others_may_copy(half_width, fill_count, is_shallow):
     image, hole = np.random.default_rng(2).random((96, 96, 1), np.float32), np.zeros((96, 96), bool)
@@ -207,6 +208,7 @@ class TestStatistics:
 class TestFilling:
     """Whole holes."""
 
+    @pytest.mark.slow
     def test_a_deep_hole_is_filled_in_bands_without_a_gap(self, monkeypatch):
         monkeypatch.setattr(regions, "BAND", 12)
         random = np.random.default_rng(6)
@@ -234,6 +236,7 @@ class TestFilling:
         sources = levels[0].source[levels[0].hole]
         assert found and found[0].any() and levels[0].valid[sources].all()
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("count", [pytest.param(1, marks=pytest.mark.exhaustive), 12])
     def test_holes_of_a_texture_keep_its_distribution(self, count):
         random = np.random.default_rng(8)

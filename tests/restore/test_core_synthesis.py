@@ -225,6 +225,7 @@ class TestInvariants:
         expected = literal_scanline(image, hole)
         assert np.array_equal(levels[0].page(0), expected)
 
+    @pytest.mark.slow
     def test_far_holes_do_not_change_each_other(self):
         image = noise((140, 360))
         first, second = disk((140, 360), 8, (70, 70)), disk((140, 360), 8, (60, 290))

@@ -221,6 +221,7 @@ with open(given["log"], "a", buffering=1) as log:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="signals of POSIX")
 def test_a_crash_and_a_hang_cost_one_case_each(tmp_path, monkeypatch):
     worker = tmp_path / "worker.py"

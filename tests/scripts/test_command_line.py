@@ -92,6 +92,7 @@ def test_a_process_ends_with_the_code_and_one_sentence(script):
     assert outcome.stdout == ""
 
 
+@pytest.mark.slow
 def test_a_defect_is_one_sentence_with_a_private_log(script):
     outcome, verbose = run(script, ["defect"], ["defect", "--verbose"])
     assert outcome.returncode == 1 and outcome.stdout == ""
@@ -104,6 +105,7 @@ def test_a_defect_is_one_sentence_with_a_private_log(script):
     assert "Traceback" in verbose.stderr
 
 
+@pytest.mark.slow
 def test_an_error_after_some_outputs_names_them(script, tmp_path):
     """A bake that took hours stays although an export of it fails."""
     outcomes = run(script, *([what, "--path", str(tmp_path / what)] for what in ("full", "cancel")))
@@ -121,6 +123,7 @@ def test_names_do_not_break_lines(script):
     assert (wrong_input.returncode, wrong_input.stderr) == (2, '"line break" is empty.\n')
 
 
+@pytest.mark.slow
 @pytest.mark.once
 @pytest.mark.skipif(os.name == "nt", reason="Windows has neither")
 @pytest.mark.parametrize("flags", [[], *(pytest.param([flag], marks=pytest.mark.exhaustive) for flag in ("--verbose", "--help"))])

@@ -80,6 +80,7 @@ def test_sprigs_have_leaves_and_transparent_pixels(atlas):
     assert (atlas[..., 1] >= atlas[..., 2]).all()  # green, also where transparent
 
 
+@pytest.mark.slow
 def test_growing_twice_gives_the_same_objects(monkeypatch, atlas):
     monkeypatch.setattr(demo_materials, "paint_sprig_atlas", lambda _seed: atlas)
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)

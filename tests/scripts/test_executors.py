@@ -100,6 +100,7 @@ def test_a_scheduler_gives_the_replies_of_a_serial_run(farm, tmp_path):
     assert not list(folder.iterdir())
 
 
+@pytest.mark.slow
 def test_crashes_and_errors_of_workers_on_a_scheduler(farm, tmp_path):
     spec, folder = f"dask:{farm.address}", tmp_path / "shared"
     folder.mkdir()

@@ -155,6 +155,7 @@ def test_read_range(header, expected):
     assert read_range(header, 100) == expected
 
 
+@pytest.mark.slow
 @given(st.text(alphabet="bytes=-, 0123456789", max_size=30) | st.from_regex(r"bytes=\d{0,5}-\d{0,5}", fullmatch=True), st.integers(0, 2000))
 def test_ranges_lie_in_file(header, size):
     found = read_range(header, size)

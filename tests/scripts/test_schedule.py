@@ -55,6 +55,7 @@ def folders(process: Process) -> list[str]:
     return [name for index, name in enumerate(names) if index == 0 or names[index - 1] != name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [2, 4])
 def test_every_test_runs_once_and_all_processes_are_busy_to_the_end(count):
     idle = []

@@ -75,6 +75,7 @@ def test_verbose_adds_the_messages_of_blender(outcomes):
     assert outcome.stdout.endswith("\n1 cube: größe 樹\n")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("failure", "code", "message"), [("input", 2, "The cube is missing."), ("defect", 1, "RuntimeError: a defect")])
 def test_error_messages_are_on_stderr(outcomes, failure, code, message):
     outcome = outcomes[f"--fail {failure}"]

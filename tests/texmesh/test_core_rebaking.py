@@ -269,6 +269,7 @@ def test_sides_that_are_no_powers_of_two_are_rounded_up():
     assert values.shape == (84, 250, 3) and (to_pixels(values, Content.DATA) == 77).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [(1000, 333), (256, 1024)])
 @pytest.mark.parametrize("content", [Content.DATA, Content.COLOR, Content.TRANSPARENT_COLOR, Content.NORMAL])
 def test_strips_of_rows_give_the_images_of_all_rows_at_once(monkeypatch, size, content):

@@ -70,6 +70,7 @@ def refitted(fine, level) -> TexturedMesh:
     return run_to_end(refit(fine, level))
 
 
+@pytest.mark.slow
 def test_both_deviations_get_smaller(fine, level, refitted):
     before, after = (measure_texture_deviation(fine, mesh, 8000) for mesh in (level, refitted))
     assert after.from_fine.mean < 0.7 * before.from_fine.mean and after.from_level.mean < 0.7 * before.from_level.mean
@@ -85,6 +86,7 @@ def add_spike(mesh: TexturedMesh, height: float = 0.5) -> TexturedMesh:
     return replace(mesh, vertices=vertices)
 
 
+@pytest.mark.slow
 def test_a_level_with_a_spike_or_a_texture_that_slides_is_not_chosen(fine, level, refitted):
     comparison = LevelComparison(FineSurface.of(fine))
     assert comparison.choose([refitted, level]) == 0 and comparison.choose([fine, fine, level]) == 0

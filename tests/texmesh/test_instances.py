@@ -99,6 +99,7 @@ def test_levels_of_linked_duplicates_are_computed_once(ball, made, capsys):
     assert len({material for mesh in list_meshes(sets) for material in mesh.materials}) == 2
 
 
+@pytest.mark.slow
 def test_other_materials_or_shapes_are_levels_of_their_own(ball, made):
     other, wide = duplicate(ball), duplicate(ball)
     other.material_slots[0].link = "OBJECT"

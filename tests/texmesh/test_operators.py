@@ -93,6 +93,7 @@ def test_one_level_is_shown_and_the_original_again(ball):
     assert not any(level.hide_render for level in levels) and ball.hide_render
 
 
+@pytest.mark.slow
 def test_several_objects_stay_selected_and_the_active_one_stays_active(ball):
     other = textured_ball(8, "Other")
     ball.select_set(True)
@@ -151,6 +152,7 @@ def test_the_progress_names_the_object_and_never_decreases(ball):
     assert 0.1 < steps[second.index(True)].fraction < 0.5
 
 
+@pytest.mark.slow
 def test_the_result_of_several_objects_begins_with_their_number(ball):
     textured_ball(8, "Other").scale.x = 2.0
     for name, rings in (("Third", 7), ("Fourth", 6)):

@@ -111,6 +111,7 @@ def test_levels_follow_their_armature(tube, capsys):
     assert all(posed < 1.1 * resting + 0.01 * RADIUS for posed, resting in zip(bent, at_rest, strict=True)), (bent, at_rest)
 
 
+@pytest.mark.slow
 def test_duplicates_with_armatures_of_their_own_have_the_same_meshes(tube):
     rig, other, second = tube.parent, tube.copy(), tube.parent.copy()
     for item in (other, second):
@@ -143,6 +144,7 @@ def test_instances_of_rigged_collections_keep_their_shape_and_say_so(tube, capsy
     assert 'The levels of "Place" have its current shape; they do not follow armatures and shape keys' in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_normals_of_levels_turn_with_their_faces(tube):
     finest = make()[0]
     pose(tube.parent, 1.2)
@@ -189,6 +191,7 @@ def test_shape_keys_of_levels_follow_those_of_their_source(face, capsys):
     assert heights[0.0, 1.0] - heights[0.0, 0.0] == pytest.approx(1.0, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_shape_keys_that_are_not_relative_are_refused(face, capsys):
     face.data.shape_keys.use_relative = False
     levels = make()
@@ -196,6 +199,7 @@ def test_shape_keys_that_are_not_relative_are_refused(face, capsys):
     assert all(level.data.shape_keys is None for level in levels)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("one_file", [True, pytest.param(False, marks=pytest.mark.exhaustive)])
 def test_files_have_the_skins_of_levels(tube, tmp_path, capsys, one_file):
     rig = tube.parent
@@ -221,6 +225,7 @@ def test_files_have_the_skins_of_levels(tube, tmp_path, capsys, one_file):
         assert nearest.max() < 2e-3
 
 
+@pytest.mark.slow
 def test_files_have_the_shape_keys_of_levels(face, tmp_path):
     keys = face.data.shape_keys.key_blocks
     levels = make()

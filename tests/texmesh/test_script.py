@@ -53,6 +53,7 @@ def make(path, *flags, out="out.blend"):
     return summary, json.loads(report.read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 def test_a_scene_with_levels(folder):
     textured_ball()
     ball = save(folder)
@@ -302,6 +303,7 @@ def test_a_missing_image_is_named(folder):
     assert sorted(path.name for path in folder.iterdir()) == ["bällchen.blend"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("flags", "error_type", "text"),
     [

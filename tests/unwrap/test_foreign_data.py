@@ -48,6 +48,7 @@ def test_metrics_of_another_type_are_ignored(value):
     assert len(layout.texts) == 2 * len(METRICS) - 2 and "1.500" in layout.texts and "inf" in layout.texts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("data_type", "domain"), [("FLOAT_VECTOR", "FACE"), ("STRING", "FACE"), ("FLOAT", "POINT")])
 def test_a_stretch_attribute_of_another_type_is_no_stretch(data_type, domain):
     item = add_cube()

@@ -162,6 +162,7 @@ def test_selected_faces_of_several_objects_in_edit_mode():
     assert sum_area(chosen[1]) == pytest.approx(4.0 * sum_area(chosen[0]), rel=2e-3)
 
 
+@pytest.mark.slow
 def test_a_texel_density_counts_for_all_and_tiles_are_shared():
     cubes = [add_cube(f"Cube {index}", (3.0 * index, 0.0, 0.0)) for index in range(4)]
     maps = unwrap(*cubes, texture_size=(512, 512), margin=2, texel_density=100.0, max_tiles=4)

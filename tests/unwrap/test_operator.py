@@ -274,6 +274,7 @@ def test_edit_mode_without_a_selection_is_an_error():
     bpy.ops.object.mode_set(mode="OBJECT")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("islands", ["one", pytest.param("atlas", marks=pytest.mark.exhaustive)])
 def test_a_mesh_with_all_defects_is_unwrapped(islands):
     """Loose parts, a non-manifold edge, faces that touch in a vertex, opposite winding, no area, slivers, an unused vertex."""

@@ -59,6 +59,7 @@ def test_seams_do_not_depend_on_the_unit_of_length(unit):
     np.testing.assert_array_equal(seams, expected)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 @pytest.mark.parametrize("islands", ["one", "atlas"])
 @pytest.mark.parametrize("length", [pytest.param(1e4, marks=pytest.mark.exhaustive), 1e10])
@@ -154,6 +155,7 @@ def test_islands_of_vertical_faces_are_turned_upright():
     assert (free_ups[:, 1] < 0.9).any() and free.metrics.overlaps == upright.metrics.overlaps == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "sides",
     [((1.0, 0.3, 2.0), (0.5, 0.6, 1.0)), pytest.param(((6.0, 5.0, 0.5), (0.5, 0.5, 12.0)), marks=pytest.mark.exhaustive)],

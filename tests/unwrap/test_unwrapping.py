@@ -36,6 +36,7 @@ def test_a_nearly_closed_surface_is_cut_only_with_further_cuts():
     assert cut.metrics.symmetric_dirichlet < 4.5 < 10.0 < uncut.metrics.symmetric_dirichlet
 
 
+@pytest.mark.slow
 def test_marked_seams_are_not_added_to():
     mesh = dome(32, 0.82)
     seam = mesh.triangles[-1][[0, 1]]

@@ -88,6 +88,7 @@ def test_triangles_of_sphere_follow_from_curvature():
     assert area == pytest.approx(face_areas_and_normals(vertices[triangles])[0].sum(), rel=0.1)
 
 
+@pytest.mark.slow
 def test_duplicate_and_non_manifold_faces_are_allowed():
     vertices, triangles = sheet(4, lambda x, y: 0.1 * np.sin(6.0 * x + y))
     fin = np.array([[0.5, 0.0, 0.5], [0.5, 1.0, 0.5]])
