@@ -6,7 +6,7 @@
 (tests/gui) run only with `--window`, or if they are named: `python3 scripts/test.py tests/gui`. `--record` writes how long the tests took,
 see lib/durations.py.
 
-Test files run in parallel, the longest ones first, see lib/schedule.py; `-n 0` runs them one after the other, the fast ones first. If
+Test files run in parallel, the longest ones first, see lib/schedule.py; `-n 0` runs them one after the other. If
 Blender crashes in one of the processes, the test files that have no result are run once more, in a new process.
 
 The first run creates an environment, see lib/environment.py. FARFIELD_BPY=4.5, 5.0 or 5.2 selects the Blender to test with.

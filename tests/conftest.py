@@ -8,6 +8,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import compress
 from pathlib import Path
 
 import hypothesis
@@ -123,15 +124,15 @@ def pytest_make_collect_report(collector: pytest.Collector) -> Iterator:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Run fast tests first, so that failures show early; in parallel runs, `lib.schedule` orders the files. Files that need nothing outside
-    the core get the marker `core`. Tests marked `slow` need an option or must be named; those marked `exhaustive`, and many random
-    examples, need the option --all."""
+    """Run tests in a window last, and those of a file in its order; in parallel runs, `lib.schedule` orders the files. Files that need
+    nothing outside the core get the marker `core`. Tests marked `slow` need an option or must be named; those marked `exhaustive`, and many
+    random examples, need the option --all."""
     if not config.option.exhaustive:
         is_named = any("::" in argument for argument in config.args)
         markers = {"exhaustive"} if config.option.slow or is_named else {"exhaustive", "slow"}
-        left_out = [item for item in items if markers & {marker.name for marker in item.iter_markers()}]
-        config.hook.pytest_deselected(items=left_out)
-        items[:] = [item for item in items if item not in set(left_out)]
+        is_left_out = [bool(markers & {marker.name for marker in item.iter_markers()}) for item in items]
+        config.hook.pytest_deselected(items=list(compress(items, is_left_out)))
+        items[:] = [item for item, is_out in zip(items, is_left_out, strict=True) if not is_out]
         for test in {item.function for item in items}:
             take_fewer_examples(test)
     is_core = {path: not NEEDS_MORE_THAN_CORE.search(path.read_text(encoding="utf-8")) for path in {item.path for item in items}}
@@ -139,7 +140,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         if is_core[item.path]:
             item.add_marker("core")
     items.sort(key=lambda item: item.path)  # as if no process had imported them in reverse order
-    items.sort(key=lambda item: 2 if item.get_closest_marker("gui") else 1 if item.get_closest_marker("slow") else 0)
+    items.sort(key=lambda item: item.get_closest_marker("gui") is not None)
 
 
 def pytest_collection_finish() -> None:

@@ -131,8 +131,8 @@ def carve_gullies(ground: Heights, x: np.ndarray, y: np.ndarray, spacing: float,
         shown = resolve(wavelength, spacing)
         if shown == 0.0:
             break
-        steepness = ground.steepness
-        factor = np.float32(shown * depth * wavelength) * steepness / (steepness + np.float32(gullies.onset))
+        squares = ground.steepness**2  # So that gullies fade where the gradient turns around summits and hollows.
+        factor = np.float32(shown * depth * wavelength) * squares / (squares + np.float32(gullies.onset**2))
         waves = _waves_across_gradient(ground, x / wavelength, y / wavelength, seed + octave)
         rate = np.float32(1.0 / wavelength)
         scaled = Heights(waves.height - np.float32(MEAN_DEPTH), waves.gradient_x * rate, waves.gradient_y * rate)

@@ -47,7 +47,7 @@ Ground = Callable[[np.ndarray, np.ndarray, float, Shape], Heights]  # Of positio
 def alps(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
     """Return high mountains with valleys that branch into gullies."""
     massifs = warp(lambda x, y: sum_octaves(x, y, spacing, 30_000.0, 2, shape.seed), x, y, spacing, 12_000.0, 1_270.0, shape.seed + WARPS)
-    gullies = Gullies(7_000.0, 9, 0.1 * shape.erosion, 0.87, 0.3)
+    gullies = Gullies(7_000.0, 9, 0.08 * shape.erosion, 0.88, 0.2)
     return carve_gullies(massifs.scale(1_060.0 * shape.ruggedness), x, y, spacing, gullies, shape.seed + GULLIES)
 
 
