@@ -27,7 +27,7 @@ FOLDER = Path(sys.argv[sys.argv.index("--") + 1])
 LEAVES = 300
 START_TIMEOUT_SECONDS = 20.0
 WHEEL_STEPS = 8  # Half of a sidebar.
-STEP_PIXELS = 15  # Less than the height of a button.
+STEP_PIXELS = 9  # Less than half of the height of a button: on a busy machine, one of two positions may be missed.
 
 results: dict = {"error": None}
 

@@ -23,7 +23,7 @@ def test_a_preset_is_one_undo_step(results):
 
 
 def test_the_panel_shows_a_preset_while_the_menu_is_open(results):
-    assert results["by_name"] == ["formula", "formula"]
+    assert results["by_name"] == ["canyon", "canyon"]
 
 
 def test_a_preset_is_chosen_by_its_picture(results):
