@@ -1,4 +1,4 @@
-"""Landscapes: slopes of noise, gullies that run down the slope, and the same ground in all boxes."""
+"""Landscapes: gradients of noise, gullies along the gradient, and the same ground in all boxes."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def positions(count: int, spacing: float, origin: tuple[float, float] = (0.0, 0.
 
 
 def gradient_errors(function) -> float:
-    """The largest difference between slopes of a function of positions and differences of its heights, relative to the steepest slope."""
+    """The largest difference between gradients of a function of positions and differences of its heights, relative to the longest one."""
     x, y = positions(60, 0.13)
     heights = function(x, y)
     along_x = (function(x + STEP, y).height - function(x - STEP, y).height) / (2.0 * STEP)

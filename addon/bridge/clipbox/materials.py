@@ -46,12 +46,8 @@ DEFAULTS = {
     "Bump Size": 1.0,  # length of bumps that shading adds between the voxels
     "Bump Strength": 1.0,
 }
-MEADOW, DRY_GRASS, RED_ROCK, DESERT_SAND = (
-    (0.09, 0.12, 0.035, 1.0),
-    (0.2, 0.16, 0.075, 1.0),
-    (0.3, 0.135, 0.07, 1.0),
-    (0.5, 0.34, 0.19, 1.0),
-)
+MEADOW, DRY_GRASS = (0.09, 0.12, 0.035, 1.0), (0.2, 0.16, 0.075, 1.0)
+RED_ROCK, DESERT_SAND = (0.3, 0.135, 0.07, 1.0), (0.5, 0.34, 0.19, 1.0)
 DEFAULTS_BY_TERRAIN = {  # Other values than DEFAULTS.
     "forest": {  # Steep ground is foliage.
         "Rock": (0.045, 0.075, 0.018, 1.0), "Snow": (0.06, 0.09, 0.025, 1.0), "Sand": (0.12, 0.105, 0.05, 1.0)
@@ -168,9 +164,7 @@ def _project_ground_image(builder: NodeBuilder, position: bpy.types.NodeSocket, 
 
 
 def _ensure_ground_group() -> bpy.types.NodeTree:
-    return ensure_shared_group(
-        GROUP_NAME, GROUP_VERSION, INPUTS, (("Color", "Color"), ("Roughness", "Float"), ("Normal", "Vector")), _fill_ground_group
-    )
+    return ensure_shared_group(GROUP_NAME, GROUP_VERSION, INPUTS, OUTPUTS, _fill_ground_group)
 
 
 def _fill_ground_group(builder: NodeBuilder) -> None:

@@ -15,7 +15,7 @@ LANDSCAPES = {
     "alps": Choice("Alps", "High mountains with valleys that branch into gullies"),
     "hills": Choice("Hills", "Rounded hills with brooks between them"),
     "canyon": Choice("Canyon", "A plateau that rivers have cut into, down through layers of hard and soft rock"),
-    "mesas": Choice("Mesas", "Table mountains with cliffs above slopes of scree"),
+    "mesas": Choice("Mesas", "Table mountains with cliffs above scree"),
     "dunes": Choice("Dunes", "Sand that the wind has piled up, gentle on its side and steep behind"),
 }
 TERRAINS = LANDSCAPES | {

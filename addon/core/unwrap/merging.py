@@ -158,10 +158,13 @@ class _Merging:
             joints = ends[1] @ rotation.T + translation
             joined, tolerance = 0.5 * (ends[0] + joints), SNAP_TOLERANCE * self._side
             fixed_uvs = _snap(self.corner_uvs[fixed.triangles], ends[0], joined, tolerance)
-            uvs = _snap(self.corner_uvs[moved.triangles] @ rotation.T + translation, joints, joined, tolerance)
-            is_snapped = [self.corner_uvs[fixed.triangles] != fixed_uvs, self.corner_uvs[moved.triangles] @ rotation.T + translation != uvs]
-            overlaps = any_overlap(fixed_uvs, uvs, GAP * self._side, joined, JOINT_RADIUS * self._side)
-            if overlaps or any(map(_overlaps_itself, (fixed_uvs, uvs), is_snapped)):
+            placed = self.corner_uvs[moved.triangles] @ rotation.T + translation
+            uvs = _snap(placed, joints, joined, tolerance)
+            if (
+                any_overlap(fixed_uvs, uvs, GAP * self._side, joined, JOINT_RADIUS * self._side)
+                or _overlaps_by_snapping(self.corner_uvs[fixed.triangles], fixed_uvs)
+                or _overlaps_by_snapping(placed, uvs)
+            ):
                 self._is_blocked[placing_links] = True  # Islands only grow, so they will never fit there.
                 continue
             self.corner_uvs[fixed.triangles], self.corner_uvs[moved.triangles] = fixed_uvs, uvs
@@ -223,9 +226,9 @@ class _Merging:
             self._push(min(a, other), max(a, other))
 
 
-def _overlaps_itself(corner_uvs: np.ndarray, is_snapped: np.ndarray) -> bool:
-    """Return whether triangles (N, 3, 2) overlap near those of which corners were snapped, (N, 3, 2) bool."""
-    snapped = corner_uvs[is_snapped.any(axis=(1, 2))]
+def _overlaps_by_snapping(before: np.ndarray, corner_uvs: np.ndarray) -> bool:
+    """Return whether triangles (N, 3, 2) overlap near those that differ from what they were `before` (N, 3, 2)."""
+    snapped = corner_uvs[(before != corner_uvs).any(axis=(1, 2))]
     if not len(snapped):
         return False
     low, high = corner_uvs.min(axis=1), corner_uvs.max(axis=1)

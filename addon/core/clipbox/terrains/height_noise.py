@@ -1,8 +1,8 @@
-"""Heights in the plane with their slopes: simplex noise, its sum over octaves, and gullies that run down the slope.
+"""Heights in the plane with their gradients: simplex noise, its sum over octaves, and gullies along the gradient.
 
 Octaves fade where samples cannot resolve them, so that all boxes show the same ground with more or less detail. Simplex noise after
 Gustavson, Simplex Noise Demystified, 2005. Gullies are phasor noise (Tricard et al., Procedural Phasor Noise, 2019) whose waves lie across
-the slope of the ground, octave after octave: small valleys lead to large ones.
+the gradient of the ground, octave after octave: small valleys lead to large ones.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ OCTAVE_TURN = 1.1  # Radians by which each octave is turned, so that lattices do
 KERNEL_RADIUS = 1.25  # Of the waves of gullies, in cells. A kernel farther than the next cell has no influence.
 JITTER = 0.5  # Of the centers of kernels, in cells.
 MAX_GAIN = 1.6  # By which waves that cancel out are strengthened.
-MEAN_DEPTH = 0.2  # Of gullies, relative to their amplitude: more is carved than added.
+MEAN_DEPTH = 0.2  # Of gullies, relative to their amplitude: more is eroded than added.
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Heights:
 
     @property
     def steepness(self) -> np.ndarray:
-        """The steepest slope (X, Y)."""
+        """The length (X, Y) of the gradient."""
         return np.sqrt(self.gradient_x**2 + self.gradient_y**2)
 
     def add(self, other: "Heights", factor: np.ndarray | float = 1.0) -> "Heights":
@@ -67,7 +67,7 @@ class Gullies:
         octaves: their number, each half as wide as the one before.
         depth: of the widest, relative to their wavelength.
         gain: of the relative depth from octave to octave.
-        onset: slope at which gullies have half of their depth; level ground has none.
+        onset: length of the gradient at which gullies have half of their depth; level ground has none.
     """
 
     wavelength: float
@@ -143,7 +143,7 @@ def carve_gullies(ground: Heights, x: np.ndarray, y: np.ndarray, spacing: float,
 
 
 def _waves_across_gradient(ground: Heights, x: np.ndarray, y: np.ndarray, seed: int) -> Heights:
-    """Return waves of the length of a cell between -1 and 1, whose crests run down the slope. x, y: positions (X, Y) in cells."""
+    """Return waves of the length of a cell between -1 and 1, whose crests lie along the gradient. x, y: positions (X, Y) in cells."""
     steepness = np.maximum(ground.steepness, np.float32(1e-9))
     across_x, across_y = -ground.gradient_y / steepness, ground.gradient_x / steepness
     column, row = np.floor(x), np.floor(y)

@@ -1,6 +1,6 @@
 """Landscapes: heights of the ground as nature shapes it, with rock faces that overhang.
 
-Lengths are meters at the scale 1. The ground is a function of x and y with its slopes, from which the distance to the surface follows. On
+Lengths are meters at the scale 1. The ground is a function of x and y with its gradient, from which the distance to the surface follows. On
 steep ground, noise in three dimensions breaks it into ledges and overhangs.
 """
 
@@ -16,7 +16,7 @@ from .noise import fbm
 
 SEEDS = 128  # Of each terrain.
 MORE, WARPS, GULLIES, BUMPS, LEDGES = 20, 40, 60, 80, 100  # Added to the seed, so that octaves of different noise are independent.
-ROCK_STEEPNESS, ROCK_BLEND = 0.75, 0.5  # The slope from which on ground is rock, and how much steeper all of it is.
+ROCK_STEEPNESS, ROCK_BLEND = 0.75, 0.5  # The length of the gradient from which on ground is rock, and how much steeper all of it is.
 LEDGE_WAVELENGTH, LEDGE_OCTAVES, LEDGE_DEPTH = 18.0, 4, 3.6  # On rock.
 BUMP_WAVELENGTH, BUMP_OCTAVES, BUMP_HEIGHT = 24.0, 5, 0.6  # Everywhere.
 DUNES = (240.0, 17.0), (75.0, 2.6)  # Wavelengths and heights of large and small ones.
@@ -69,7 +69,7 @@ def canyon(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Height
 
 
 def mesas(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
-    """Return table mountains with cliffs above slopes of scree."""
+    """Return table mountains with cliffs above scree."""
     places = warp(lambda x, y: sum_octaves(x, y, spacing, 1_500.0, 4, shape.seed, 0.45), x, y, spacing, 900.0, 92.0, shape.seed + WARPS)
     tables = _cut(places.map(places.height - np.float32(0.64), np.float32(1.0)), 0.71)
     plain = sum_octaves(x, y, spacing, 2_000.0, 3, shape.seed + MORE, 0.45).scale(10.0)
@@ -92,7 +92,7 @@ def dunes(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights
 
 
 def warp(noise: Noise, x: np.ndarray, y: np.ndarray, spacing: float, wavelength: float, distance: float, seed: int) -> Heights:
-    """Return noise at positions that other noise has moved, which bends ridges and valleys."""
+    """Return noise at positions that other noise has moved, which warps ridges and valleys."""
     along_x, along_y = (sum_octaves(x, y, spacing, wavelength, 2, seed + 8 * axis).scale(distance) for axis in (0, 1))
     warped = noise(x + along_x.height, y + along_y.height)
     gradient_x = warped.gradient_x * (1.0 + along_x.gradient_x) + warped.gradient_y * along_y.gradient_x
