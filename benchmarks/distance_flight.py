@@ -1,4 +1,4 @@
-"""A flight through the valley: frames with full geometry, with levels by distance and with levels by Decimate, each by its own process.
+"""A flight through the valley: frames with full geometry, with levels by distance, by Decimate and with impostors, each by its own process.
 
 Pictures, scenes and figures of frames stay in a folder; what is there is not made again.
 """
@@ -11,6 +11,7 @@ from typing import Any
 
 import bpy
 import numpy as np
+from distance_impostors import write_impostor_scene
 from distance_renders import read_image, render
 from distance_valley import ValleyOptions, build_valley
 
@@ -23,13 +24,15 @@ from farfield.addon.operators.job_run import run_job
 from lib import command_line
 from lib.flip_metric import mean_flip
 
-VARIANTS = ("full", "levels", "decimate")
+VARIANTS = ("full", "levels", "decimate", "impostors")
 OTHER_SEED = 1
 
 
 def measure_flight(options: ValleyOptions, settings: DistanceSettings, frames: list[int], folder: Path) -> dict[str, Any]:
     """Return the figures of all variants, and their ratios to full geometry."""
     figures = build_scenes(options, settings, folder)
+    if not (folder / "impostors.blend").exists():
+        write_impostor_scene(folder / "decimate.blend", folder / "impostors.blend")
     found: dict[str, list[dict[str, Any]]] = {}
     for frame in frames:
         for variant in VARIANTS:
@@ -138,10 +141,11 @@ def _compare(frames: list[int], folder: Path) -> dict[str, Any]:
     if flips is None:
         return {}
     flips, of_noise = np.array(flips[:-1]), flips[-1]
-    to_full = flips[: 2 * len(frames)].reshape(2, -1).mean(axis=1)
+    count = (len(VARIANTS) - 1) * len(frames)
+    to_full = flips[:count].reshape(len(VARIANTS) - 1, -1).mean(axis=1)
     found: dict[str, Any] = {"flip_of_noise": round(of_noise, 4)}
     found |= {f"flip_of_{variant}": round(float(flip), 4) for variant, flip in zip(VARIANTS[1:], to_full, strict=True)}
     if steps:
-        between = flips[2 * len(frames) :].reshape(3, -1).mean(axis=1)
+        between = flips[count:].reshape(len(VARIANTS), -1).mean(axis=1)
         found |= {f"pops_of_{variant}": round(float(flip - between[0]), 4) for variant, flip in zip(VARIANTS[1:], between[1:], strict=True)}
     return found

@@ -45,9 +45,10 @@ def test_every_setting_is_in_one_panel(tool):
 
 def test_settings_are_shown_where_they_count():
     group = bpy.context.scene.farfield_clipbox
-    assert shown("clipbox", "_terrain") == ["terrain", "seed", "scale"]
-    group.terrain = "forest"
-    assert shown("clipbox", "_terrain") == ["terrain", "source", "plant_size", "forest_spacing", "forest_hills", "seed", "scale"]
+    assert shown("clipbox", "_terrain") == ["terrain", "ruggedness", "erosion", "seed", "scale", "water"]
+    group.terrain, group.water = "forest", True
+    names = ["terrain", "source", "plant_size", "forest_spacing", "forest_hills", "seed", "scale", "water", "water_level"]
+    assert shown("clipbox", "_terrain") == names
     assert "roughness" not in shown("clipbox", "_detail")
     group.subdivided_boxes = 1
     assert "roughness" in shown("clipbox", "_detail")

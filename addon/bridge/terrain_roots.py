@@ -172,6 +172,10 @@ class TerrainRoot:
         prefix = f"farfield_{self.tool}_"
         return [child for child in self.root.children if child.type == "MESH" and any(key.startswith(prefix) for key in child.keys())]  # noqa: SIM118
 
+    def ground_objects(self) -> list[bpy.types.Object]:
+        """Return the mesh objects that show its ground."""
+        return self.shown_objects()
+
     def remove_shown(self) -> None:
         """Remove its mesh objects and their meshes, before undo brings back those of an undo step."""
         shown = [child for child in self.shown_objects() if is_local(child)]

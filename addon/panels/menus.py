@@ -30,6 +30,7 @@ OF_OBJECTS = (
 # What is in the menu *Farfield* of each of these menus: a search for that word finds all of it.
 MENUS: dict[str, tuple[Entry, ...]] = {
     "VIEW3D_MT_mesh_add": (Entry("clipbox_create", "WORLD_DATA", "Clip-Box Terrain"), Entry("bdam_load", "RNDCURVE", "Large Terrain")),
+    "VIEW3D_MT_light_add": (Entry("add_sky", "LIGHT_SUN"),),
     "VIEW3D_MT_object": OF_OBJECTS,
     "VIEW3D_MT_uv_map": UNWRAP,
     "IMAGE_MT_uvs": UNWRAP,

@@ -68,6 +68,7 @@ class TerrainPanel(ToolPanel):
         column.operator(f"farfield.{tool}_follow_view", text=text, icon=icon, depress=is_following)
         if terrain is not None:
             column.prop(terrain.root, follow_handlers.camera_property(tool))
+            layout.operator_menu_enum("farfield.add_sky", "light", text="Sky and Haze", icon="LIGHT_SUN")
             self.draw_terrain(terrain)
 
     def draw_terrain(self, terrain: TerrainRoot) -> None:

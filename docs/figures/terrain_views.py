@@ -1,5 +1,6 @@
 """Renders of terrain in nested boxes: two views, and frames of a walk along a path that is found through a cave."""
 
+import math
 import sys
 import tempfile
 from pathlib import Path
@@ -17,20 +18,24 @@ from scipy.ndimage import binary_dilation, distance_transform_edt, gaussian_filt
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
+from farfield.addon.bridge.sky import add_sky
 from farfield.addon.core.clipbox.settings import ClipboxSettings
 from farfield.addon.core.clipbox.terrains.generators import build_sampler
 from farfield.addon.core.clipbox.terrains.grids import Grid
 from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.sky import SkySettings
 from farfield.addon.operators.clipbox.job import prepare
 from farfield.addon.operators.following import recenter
 from farfield.addon.operators.job_run import run_job
-from lib.studio import look_at_matrix, set_uniform_sky, sun_matrix
+from farfield.addon.operators.sky import add_haze
+from lib.studio import look_at_matrix
 
 TERRAIN = ClipboxSettings(terrain="cascades", seed=2, resolution=128, boxes=6, voxel_size=0.5)
 SEARCH_GRID = Grid((-96, -96, -64), (192, 192, 112), 2.0)
 CLEARANCE = 2.5  # voxels of the search grid between the walker and walls
 LOOK_AHEAD = 14.0  # scene units
 LIGHT_WATTS = 9000.0
+SIDE_LIGHT = 1.95  # From the direction of a view to that of the Sun, clockwise, radians.
 MAX_OUTSIDE = 2  # voxels of the search grid without a roof above
 
 
@@ -104,6 +109,12 @@ def desert(path: Path, width: int, samples: int) -> None:
     _render_view(path, width, samples, settings, np.array([256.0, -208.0, -45.0]), np.array([420.0, 157.0, -35.0]))
 
 
+def coast(path: Path, width: int, samples: int) -> None:
+    """Render one view of cliffs and the sea."""
+    settings = ClipboxSettings(terrain="coast", water=True, seed=0, resolution=192, boxes=7, voxel_size=0.75)
+    _render_view(path, width, samples, settings, np.array([1050.0, -500.0, 30.0]), np.array([700.0, 0.0, 20.0]))
+
+
 def copses(path: Path, width: int, samples: int) -> None:
     """Render one view of hills with voxel trees."""
     with tempfile.TemporaryDirectory() as folder:
@@ -131,9 +142,14 @@ def _render_view(
 ) -> None:
     """Render terrain from `position` (3,) towards `target` (3,), in the format 16:9 unless a height in pixels is given."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    run_to_end(run_job(prepare(settings, position)))
+    job = prepare(settings, position)
+    run_to_end(run_job(job))
     camera, point_light = _set_up_scene(width, samples)
     point_light.data.energy = 0.0
+    x, y, _ = target - position
+    light = SkySettings(sun_direction=(math.atan2(x, y) + SIDE_LIGHT) % (2.0 * math.pi))
+    add_sky(bpy.context.scene, light)
+    add_haze(job.terrain, light)
     camera.matrix_world = look_at_matrix((position - target) / np.linalg.norm(position - target), position)
     bpy.context.scene.render.filepath = str(path)
     bpy.context.scene.render.resolution_y = height or bpy.context.scene.render.resolution_y
@@ -141,24 +157,20 @@ def _render_view(
 
 
 def _set_up_scene(width: int, samples: int) -> tuple[bpy.types.Object, bpy.types.Object]:
-    """Add a camera, a point light for caves, a Sun light and a sky, and select Cycles. Returns the camera and the point light."""
+    """Add a camera, a point light for caves, Sun and sky, and select Cycles. Returns the camera and the point light."""
     scene = bpy.context.scene
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
     point_light = bpy.data.objects.new("Point", bpy.data.lights.new("Point", "POINT"))
-    sun = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", "SUN"))
-    for item in (camera, point_light, sun):
+    for item in (camera, point_light):
         scene.collection.objects.link(item)
-    scene.camera, sun.matrix_world, sun.data.energy = camera, sun_matrix(), 4.0
+    scene.camera = camera
+    add_sky(scene, SkySettings())
     camera.data.angle, camera.data.clip_start, camera.data.clip_end = 1.25, 0.1, 1e5
     point_light.data.energy, point_light.data.shadow_soft_size = LIGHT_WATTS, 0.5
-    scene.world = bpy.data.worlds.new("Sky")
-    set_uniform_sky(scene.world)
-    background = next(node for node in scene.world.node_tree.nodes if node.type == "BACKGROUND")
-    background.inputs["Color"].default_value = (0.46, 0.62, 0.85, 1.0)
     render = scene.render
     render.engine, render.use_persistent_data = "CYCLES", False
     render.resolution_x, render.resolution_y, render.resolution_percentage = width, width * 9 // 16, 100
     render.image_settings.file_format, render.image_settings.color_mode = "PNG", "RGB"
     scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.max_bounces = samples, True, 3
-    scene.view_settings.view_transform = "Standard"
+    scene.view_settings.view_transform = "AgX"
     return camera, point_light

@@ -74,9 +74,20 @@ def test_the_numbers_of_the_material_are_inputs_with_defaults():
     camera_at(3.0, 4.0, 20.0)
     group = ground_group(create())
     sockets = {item.name: item for item in group.node_tree.interface.items_tree if item.in_out == "INPUT"}
-    assert {"Rock", "Grass", "Snow Height", "Rock Slope", "Slope Noise", "Grain Strength", "Roughness"} <= set(sockets)
+    assert {"Rock", "Grass", "Snow Height", "Rock Slope", "Slope Noise", "Water Height", "Roughness"} <= set(sockets)
     assert sockets["Slope Noise"].default_value == pytest.approx(0.35) == group.inputs["Slope Noise"].default_value
     assert all(group.node_tree.nodes["Group Input"].outputs[name].is_linked for name in sockets)
+
+
+def test_water_is_at_its_level_and_goes_with_update():
+    camera_at(3.0, 4.0, 20.0)
+    terrain = create(water=True, water_level=5.0)
+    heights = [vertex.co.z + terrain.origin[2] for vertex in terrain.water.data.vertices]
+    assert heights == [5.0] * 4
+    assert ground_group(terrain).inputs["Water Height"].default_value == pytest.approx(5.0 - terrain.origin[2])
+    bpy.ops.farfield.clipbox_update("EXEC_DEFAULT", **SMALL, water=False)
+    assert terrain.water is None
+    assert ground_group(terrain).inputs["Water Height"].default_value < -1e5
 
 
 def test_blocky_terrain_is_flat_shaded():
@@ -210,7 +221,15 @@ def test_a_height_map_is_colored_by_its_ground_image(tmp_path):
     nodes = terrain.material.node_tree.nodes
     ground_image = next(node for node in nodes if node.label == "Ground Image")
     assert ground_image.image.filepath.endswith("grün.png")
-    assert {link.to_socket.name for link in ground_image.outputs["Color"].links} == {"Rock", "Grass", "Sand", "Snow"}
+    assert {link.to_socket.name for link in ground_image.outputs["Color"].links} == {
+        "Rock",
+        "Strata",
+        "Scree",
+        "Grass",
+        "Undergrowth",
+        "Sand",
+        "Snow",
+    }
     scale = next(node for node in nodes if node.type == "VECT_MATH" and node.operation == "MULTIPLY")
     assert np.allclose(scale.inputs[1].default_value, [1.0 / 64.0, 1.0 / 32.0, 0.0])
     assert ground_group(terrain).outputs["Color"].is_linked

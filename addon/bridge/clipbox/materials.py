@@ -12,76 +12,107 @@ from ..shading.node_builder import NodeBuilder, SocketOrValue, create_node_mater
 from ..shading.solid_view import show_color
 
 GROUP_NAME = "Farfield Ground"
-GROUP_VERSION = 2
-GRAIN_IMAGE = "Farfield Grain"
+GROUP_VERSION = 3
 SNOW_LINE = 0.3  # default height of snow above the upper height, relative to the size of the terrain
 MIN_SIZE = 1e-3  # scene units, for a flat terrain
-# Bumps of the ground: wavelength and height relative to Bump Size, octaves, and how far away they are seen. Farther away they would be
-# finer than pixels.
-BUMPS = (10.0, 3.0, 6.0, 1500.0), (0.8, 0.2, 5.0, 120.0)
-SOFT_BUMPS = 0.35  # Height of bumps on soil, relative to those on rock.
-BUMP_COLOR = 0.8  # How much darker hollows are than bumps.
+NO_WATER = -1e6  # scene units
+
+
+@dataclass(frozen=True)
+class Bumps:
+    """Noise that shades the ground.
+
+    Attributes:
+        wavelength: of its first octave, relative to Bump Size.
+        height: relative to Bump Size.
+        octaves: each half as long as the one before.
+        nearest: distance from which they are seen in full, relative to Bump Size; nearer, voxels have that shape.
+        farthest: distance from which they are not seen, relative to Bump Size; they would be finer than pixels.
+        contrast: how much darker hollows are than bumps.
+    """
+
+    wavelength: float
+    height: float
+    octaves: float
+    nearest: float
+    farthest: float
+    contrast: float
+
+
+BUMPS = (
+    Bumps(110.0, 20.0, 5.0, 1200.0, 60_000.0, 0.8),
+    Bumps(10.0, 3.0, 6.0, 0.0, 2500.0, 0.9),
+    Bumps(0.8, 0.2, 5.0, 0.0, 160.0, 1.6),
+)
+SOFT_BUMPS = 0.3  # Height of bumps on soil and snow, relative to those on rock.
+BREAKUP = 0.35  # How much bumps move the borders between layers, relative to the variation by noise.
+STRATA_WARP = 0.35  # How far layers of rock are bent, relative to the size of the noise.
+WET_COLOR, WET_ROUGHNESS = 0.45, 0.35  # Of wet ground, relative to dry ground.
+WATER_NAME = "Farfield Water"
+WATER_IOR, WAVELENGTH, WAVE_HEIGHT = 1.333, 9.0, 1.2  # Lengths relative to the smallest voxels, like the distances.
+CALM_DISTANCE, ROUGH_DISTANCE, CALM_ROUGHNESS, MAX_ROUGHNESS = 120.0, 8000.0, 0.02, 0.22
 INPUTS = (
-    ("Position", "Vector"), ("Grain", "Color"), ("Rock", "Color"), ("Grass", "Color"), ("Sand", "Color"), ("Snow", "Color"),
-    ("Rock Slope", "Float"), ("Snow Height", "Float"), ("Sand Height", "Float"), ("Size", "Float"), ("Height Blend", "Float"),
-    ("Height Noise", "Float"), ("Slope Blend", "Float"), ("Slope Noise", "Float"), ("Noise Scale", "Float"), ("Grain Strength", "Float"),
-    ("Grain Offset", "Float"), ("Color Noise", "Float"), ("Roughness", "Float"), ("Bump Size", "Float"), ("Bump Strength", "Float"),
+    ("Position", "Vector"), ("Rock", "Color"), ("Strata", "Color"), ("Scree", "Color"), ("Grass", "Color"), ("Undergrowth", "Color"),
+    ("Sand", "Color"), ("Snow", "Color"), ("Rock Slope", "Float"), ("Scree Width", "Float"), ("Snow Height", "Float"),
+    ("Sand Height", "Float"), ("Water Height", "Float"), ("Water", "Color"), ("Clarity", "Float"), ("Size", "Float"), ("Height Blend", "Float"), ("Height Noise", "Float"),
+    ("Slope Blend", "Float"), ("Slope Noise", "Float"), ("Noise Scale", "Float"), ("Strata Scale", "Float"), ("Color Noise", "Float"),
+    ("Roughness", "Float"), ("Bump Size", "Float"), ("Bump Strength", "Float"),
 )  # fmt: skip
 OUTPUTS = ("Color", "Color"), ("Roughness", "Float"), ("Normal", "Vector")
+LAYERS = ("Rock", "Strata", "Scree", "Grass", "Undergrowth", "Sand", "Snow")  # The inputs that are colors of the ground.
 DEFAULTS = {
     "Rock": (0.17, 0.14, 0.115, 1.0),
-    "Grass": (0.075, 0.11, 0.03, 1.0),
+    "Strata": (0.26, 0.225, 0.18, 1.0),
+    "Scree": (0.2, 0.175, 0.15, 1.0),
+    "Grass": (0.075, 0.095, 0.028, 1.0),
+    "Undergrowth": (0.034, 0.048, 0.016, 1.0),
     "Sand": (0.36, 0.27, 0.16, 1.0),
     "Snow": (0.8, 0.83, 0.88, 1.0),
     "Rock Slope": 0.72,  # z of the normal below which the ground is rock
-    "Height Blend": 0.12,  # half the width of the blends at Sand Height and Snow Height, relative to Size
-    "Height Noise": 0.6,  # variation of these heights, relative to Size
-    "Slope Blend": 0.07,  # half the width of the blend at Rock Slope
+    "Scree Width": 0.07,  # how much larger z is where rock debris ends and soil begins
+    "Water Height": NO_WATER,  # below it and a little above, the ground is wet
+    "Water": (0.006, 0.035, 0.045, 1.0),  # color of deep water
+    "Clarity": 4.0,  # depth at which 63 % of the color is that of deep water
+    "Height Blend": 0.06,  # half the width of the blends at Sand Height and Snow Height, relative to Size
+    "Height Noise": 0.7,  # variation of these heights, relative to Size
+    "Slope Blend": 0.035,  # half the width of the blend at Rock Slope
     "Slope Noise": 0.35,  # variation of Rock Slope
     "Noise Scale": 6.0,  # noise features per Size
-    "Grain Strength": 0.7,  # factor of the grain texture, which varies the brightness
-    "Grain Offset": 0.65,  # brightness added to it
+    "Strata Scale": 9.0,  # layers of rock per Size
     "Color Noise": 0.8,  # variation of the brightness by noise
     "Roughness": 0.9,
     "Bump Size": 1.0,  # length of bumps that shading adds between the voxels
     "Bump Strength": 1.0,
 }
-MEADOW, DRY_GRASS = (0.09, 0.12, 0.035, 1.0), (0.2, 0.16, 0.075, 1.0)
-RED_ROCK, DESERT_SAND = (0.3, 0.135, 0.07, 1.0), (0.5, 0.34, 0.19, 1.0)
+MEADOW, DRY_GRASS, SCRUB = (0.085, 0.11, 0.032, 1.0), (0.2, 0.16, 0.075, 1.0), (0.1, 0.1, 0.045, 1.0)
+RED_ROCK, PALE_ROCK, DESERT_SAND = (0.3, 0.135, 0.07, 1.0), (0.46, 0.27, 0.16, 1.0), (0.5, 0.34, 0.19, 1.0)
 DEFAULTS_BY_TERRAIN = {  # Other values than DEFAULTS.
     "forest": {  # Steep ground is foliage.
-        "Rock": (0.045, 0.075, 0.018, 1.0), "Snow": (0.06, 0.09, 0.025, 1.0), "Sand": (0.12, 0.105, 0.05, 1.0)
+        "Rock": (0.045, 0.075, 0.018, 1.0), "Strata": (0.045, 0.075, 0.018, 1.0), "Scree": (0.05, 0.07, 0.02, 1.0),
+        "Snow": (0.06, 0.09, 0.025, 1.0), "Sand": (0.12, 0.105, 0.05, 1.0),
     },
-    "alps": {"Rock": (0.2, 0.185, 0.17, 1.0), "Sand": (0.06, 0.09, 0.03, 1.0), "Rock Slope": 0.8},
-    "hills": {"Snow": MEADOW, "Sand": (0.055, 0.085, 0.025, 1.0), "Rock Slope": 0.62},
-    "canyon": {"Rock": RED_ROCK, "Grass": DRY_GRASS, "Snow": DRY_GRASS, "Sand": (0.36, 0.2, 0.11, 1.0)},
-    "mesas": {"Rock": RED_ROCK, "Grass": (0.34, 0.2, 0.1, 1.0), "Snow": DRY_GRASS, "Sand": (0.42, 0.24, 0.13, 1.0)},
-    "dunes": {"Rock": (0.46, 0.3, 0.16, 1.0), "Grass": DESERT_SAND, "Snow": DESERT_SAND, "Sand": DESERT_SAND, "Color Noise": 0.3},
+    "alps": {
+        "Rock": (0.2, 0.185, 0.17, 1.0), "Strata": (0.3, 0.28, 0.255, 1.0), "Scree": (0.27, 0.25, 0.225, 1.0),
+        "Sand": (0.045, 0.06, 0.02, 1.0), "Rock Slope": 0.8,
+    },
+    "hills": {"Snow": MEADOW, "Sand": (0.05, 0.07, 0.022, 1.0), "Rock Slope": 0.5},
+    "canyon": {
+        "Rock": RED_ROCK, "Strata": PALE_ROCK, "Scree": (0.36, 0.19, 0.1, 1.0), "Grass": DRY_GRASS, "Undergrowth": SCRUB,
+        "Snow": DRY_GRASS, "Sand": (0.36, 0.2, 0.11, 1.0),
+    },
+    "mesas": {
+        "Rock": RED_ROCK, "Strata": PALE_ROCK, "Scree": (0.36, 0.18, 0.09, 1.0), "Grass": (0.34, 0.2, 0.1, 1.0), "Undergrowth": SCRUB,
+        "Snow": DRY_GRASS, "Sand": (0.42, 0.24, 0.13, 1.0),
+    },
+    "coast": {
+        "Rock": (0.15, 0.13, 0.11, 1.0), "Strata": (0.27, 0.23, 0.18, 1.0), "Snow": (0.075, 0.095, 0.028, 1.0),
+        "Sand": (0.5, 0.41, 0.28, 1.0), "Rock Slope": 0.75, "Height Blend": 0.02, "Height Noise": 0.04,
+    },
+    "dunes": {
+        "Rock": (0.46, 0.3, 0.16, 1.0), "Strata": DESERT_SAND, "Scree": DESERT_SAND, "Grass": DESERT_SAND, "Undergrowth": DESERT_SAND,
+        "Snow": DESERT_SAND, "Sand": DESERT_SAND, "Color Noise": 0.3,
+    },
 }  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Grain:
-    """The image of grains.
-
-    Attributes:
-        resolution: pixels per side.
-        min_frequency: waves per image; lower frequencies have the amplitude of this one.
-        falloff: exponent of the spectrum.
-        deviation: standard deviation of the gray values.
-        tile_size: side of one repetition, relative to the size of the terrain.
-        blend: width of the blend between the three projections.
-    """
-
-    resolution: int = 256
-    min_frequency: float = 3.0
-    falloff: float = 0.9
-    deviation: float = 0.22
-    tile_size: float = 0.12
-    blend: float = 0.35
-
-
-GRAIN = Grain()
 
 
 @dataclass(frozen=True)
@@ -116,15 +147,6 @@ def create_terrain_material(
     size = max(0.5 * (high - low), MIN_SIZE)
     material, builder = create_node_material(name)
     position = builder.node("ShaderNodeTexCoord", {"object": root}).outputs["Object"]
-    grain_position = builder.vector("SCALE", position, 1.0 / (GRAIN.tile_size * size))
-    grain_position.node.label = "Grain Scale"
-    grain = builder.node(
-        "ShaderNodeTexImage",
-        {
-            "image": _ensure_grain_image(), "projection": "BOX", "projection_blend": GRAIN.blend, "extension": "REPEAT", "label": "Grain"
-        },
-    )  # fmt: skip
-    builder.connect(grain_position, grain.inputs["Vector"])
     group = builder.node("ShaderNodeGroup", {"node_tree": _ensure_ground_group(), "width": 200.0})
     values = DEFAULTS | DEFAULTS_BY_TERRAIN.get(terrain, {})
     for socket, value in values.items():
@@ -134,16 +156,52 @@ def create_terrain_material(
     group.inputs["Snow Height"].default_value, group.inputs["Sand Height"].default_value = high + SNOW_LINE * size, low
     if ground_image is not None:
         color = _project_ground_image(builder, position, ground_image)
-        for socket in ("Rock", "Grass", "Sand", "Snow"):
+        for socket in LAYERS:
             builder.connect(color, group.inputs[socket])
     builder.connect(position, group.inputs["Position"])
-    builder.connect(grain.outputs["Color"], group.inputs["Grain"])
     principled = builder.node("ShaderNodeBsdfPrincipled")
     builder.connect(group.outputs["Color"], principled.inputs["Base Color"])
     builder.connect(group.outputs["Roughness"], principled.inputs["Roughness"])
     builder.connect(group.outputs["Normal"], principled.inputs["Normal"])
     builder.connect(principled.outputs[0], builder.node("ShaderNodeOutputMaterial").inputs["Surface"])
     builder.arrange()
+    return material
+
+
+def set_water(material: bpy.types.Material, height: float | None) -> None:
+    """Let the ground below a height, z relative to the root, be under water; None removes the water."""
+    for node in material.node_tree.nodes if material.node_tree is not None else ():
+        if node.type == "GROUP" and "Water Height" in node.inputs:
+            node.inputs["Water Height"].default_value = NO_WATER if height is None else height
+
+
+def create_water_material(voxel_size: float) -> bpy.types.Material:
+    """Create the material of a water surface: a mirror by Fresnel's equations, and clear where it does not reflect, since the material of
+    the ground has the color of the depth. voxel_size: of the smallest voxels; waves are several times as long."""
+    material, builder = create_node_material(WATER_NAME)
+    distance = builder.math("DIVIDE", builder.node("ShaderNodeCameraData").outputs["View Distance"], voxel_size)
+    position = builder.node("ShaderNodeNewGeometry").outputs["Position"]
+    waves = builder.math("MULTIPLY", _noise(builder, position, 1.0 / (WAVELENGTH * voxel_size), 4.0), WAVE_HEIGHT * voxel_size)
+    bump = builder.node("ShaderNodeBump")
+    builder.connect(
+        builder.math("DIVIDE", 1.0, builder.math("ADD", builder.math("DIVIDE", distance, CALM_DISTANCE), 1.0)), bump.inputs["Strength"]
+    )
+    builder.connect(waves, bump.inputs["Height"])
+    bump.inputs["Distance"].default_value = 1.0
+    fresnel, glossy = builder.node("ShaderNodeFresnel"), builder.node("ShaderNodeBsdfGlossy")
+    fresnel.inputs["IOR"].default_value = WATER_IOR
+    for node in (fresnel, glossy):
+        builder.connect(bump.outputs["Normal"], node.inputs["Normal"])
+    # Waves that are smaller than pixels make the surface rough.
+    roughness = builder.math("ADD", builder.math("DIVIDE", distance, ROUGH_DISTANCE), CALM_ROUGHNESS)
+    builder.connect(builder.math("MINIMUM", roughness, MAX_ROUGHNESS), glossy.inputs["Roughness"])
+    mix = builder.node("ShaderNodeMixShader")
+    builder.connect(fresnel.outputs[0], mix.inputs[0])
+    builder.connect(builder.node("ShaderNodeBsdfTransparent").outputs[0], mix.inputs[1])
+    builder.connect(glossy.outputs[0], mix.inputs[2])
+    builder.connect(mix.outputs[0], builder.node("ShaderNodeOutputMaterial").inputs["Surface"])
+    builder.arrange()
+    show_color(material, DEFAULTS["Water"])
     return material
 
 
@@ -172,70 +230,109 @@ def _fill_ground_group(builder: NodeBuilder) -> None:
         if item.item_type == "SOCKET" and item.in_out == "INPUT" and item.name in DEFAULTS:
             item.default_value = DEFAULTS[item.name]
     inputs = builder.node("NodeGroupInput").outputs
-    noise = builder.node("ShaderNodeTexNoise")
     noise_scale = builder.math("DIVIDE", inputs["Noise Scale"], inputs["Size"])
-    builder.connect(builder.vector("SCALE", inputs["Position"], noise_scale), noise.inputs["Vector"])
-    noise.inputs["Scale"].default_value, noise.inputs["Detail"].default_value = 1.0, 4.0
-    centered_noise = builder.math("SUBTRACT", noise.outputs[0], 0.5)
+    noise = _noise(builder, inputs["Position"], noise_scale, 4.0)
     normal_z = builder.separate(builder.node("ShaderNodeNewGeometry").outputs["Normal"])[2]
-    height = builder.separate(inputs["Position"])[2]
-    height_noise = builder.math("MULTIPLY", centered_noise, builder.math("MULTIPLY", inputs["Size"], inputs["Height Noise"]))
-    height = builder.math("ADD", height, height_noise)
-    normal_z = builder.math("ADD", normal_z, builder.math("MULTIPLY", centered_noise, inputs["Slope Noise"]))
-    above_sand = _ramp(builder, height, inputs["Sand Height"], builder.math("MULTIPLY", inputs["Size"], inputs["Height Blend"]))
-    ground = builder.mix(above_sand, inputs["Sand"], inputs["Grass"])
-    above_snow = _ramp(builder, height, inputs["Snow Height"], builder.math("MULTIPLY", inputs["Size"], inputs["Height Blend"]))
+    position_z = builder.separate(inputs["Position"])[2]
+    bumps = _build_bumps(builder, inputs)
+    uneven = builder.math("ADD", builder.math("MULTIPLY", bumps.pattern, BREAKUP), noise)
+    height_noise = builder.math("MULTIPLY", uneven, builder.math("MULTIPLY", inputs["Size"], inputs["Height Noise"]))
+    height = builder.math("ADD", position_z, height_noise)
+    normal_z = builder.math("ADD", normal_z, builder.math("MULTIPLY", uneven, inputs["Slope Noise"]))
+    height_blend = builder.math("MULTIPLY", inputs["Size"], inputs["Height Blend"])
+    is_open = _ramp(builder, uneven, 0.0, 0.12)
+    ground = builder.mix(is_open, inputs["Undergrowth"], inputs["Grass"])
+    above_sand = _ramp(builder, height, inputs["Sand Height"], height_blend)
+    ground = builder.mix(above_sand, inputs["Sand"], ground)
+    above_snow = _ramp(builder, height, inputs["Snow Height"], height_blend)
     ground = builder.mix(above_snow, ground, inputs["Snow"])
+    start_of_scree = builder.math("ADD", inputs["Rock Slope"], inputs["Scree Width"])
+    scree = builder.mix(above_snow, inputs["Scree"], inputs["Snow"])
+    ground = builder.mix(_ramp(builder, normal_z, start_of_scree, inputs["Slope Blend"]), scree, ground)
     is_soil = _ramp(builder, normal_z, inputs["Rock Slope"], inputs["Slope Blend"])
-    color = builder.mix(is_soil, inputs["Rock"], ground)
-    bumps, hollows = _build_bumps(builder, inputs)
-    bumps = builder.math("MULTIPLY", bumps, builder.math("SUBTRACT", 1.0, builder.math("MULTIPLY", is_soil, 1.0 - SOFT_BUMPS)))
-    brightness = builder.vector("ADD", builder.vector("SCALE", inputs["Grain"], inputs["Grain Strength"]), inputs["Grain Offset"])
-    noise_factor = builder.math("ADD", builder.math("MULTIPLY", centered_noise, inputs["Color Noise"]), 1.0)
-    brightness = builder.vector("SCALE", brightness, builder.math("MULTIPLY", noise_factor, hollows))
+    color = builder.mix(is_soil, _build_rock(builder, inputs, position_z, noise), ground)
+    noise_factor = builder.math("ADD", builder.math("MULTIPLY", noise, inputs["Color Noise"]), 1.0)
+    brightness = builder.math("MULTIPLY", noise_factor, bumps.brightness)
+    shore = builder.math("ADD", inputs["Water Height"], builder.math("MULTIPLY", inputs["Bump Size"], 2.0))
+    is_dry = _ramp(
+        builder, builder.math("ADD", position_z, builder.math("MULTIPLY", bumps.pattern, inputs["Bump Size"])), shore, inputs["Bump Size"]
+    )
+    brightness = builder.math("MULTIPLY", brightness, _between(builder, is_dry, WET_COLOR))
     output = builder.node("NodeGroupOutput")
-    builder.connect(builder.vector("MULTIPLY", color, brightness), output.inputs["Color"])
-    builder.connect(inputs["Roughness"], output.inputs["Roughness"])
+    depth = builder.math("MAXIMUM", builder.math("SUBTRACT", inputs["Water Height"], position_z), 0.0)
+    passed = builder.math("EXPONENT", builder.math("MULTIPLY", builder.math("DIVIDE", depth, inputs["Clarity"]), -1.0))
+    builder.connect(builder.mix(passed, inputs["Water"], builder.vector("SCALE", color, brightness)), output.inputs["Color"])
+    roughness = builder.math("MULTIPLY", inputs["Roughness"], _between(builder, is_dry, WET_ROUGHNESS))
+    builder.connect(roughness, output.inputs["Roughness"])
     bump = builder.node("ShaderNodeBump")
     builder.connect(inputs["Bump Strength"], bump.inputs["Strength"])
-    builder.connect(bumps, bump.inputs["Height"])
+    builder.connect(
+        builder.math("MULTIPLY", bumps.height, builder.math("SUBTRACT", 1.0, builder.math("MULTIPLY", is_soil, 1.0 - SOFT_BUMPS))),
+        bump.inputs["Height"],
+    )
     bump.inputs["Distance"].default_value = 1.0
     builder.connect(bump.outputs["Normal"], output.inputs["Normal"])
 
 
-def _build_bumps(builder: NodeBuilder, inputs: bpy.types.bpy_prop_collection) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]:
-    """Return the height of bumps at the position, a length, and a factor of the brightness, which is less than 1 in hollows."""
-    distance = builder.node("ShaderNodeCameraData").outputs["View Distance"]
-    height, factor = 0.0, 1.0
-    for wavelength, relative_height, octaves, reach in BUMPS:
-        noise = builder.node("ShaderNodeTexNoise")
-        scale = builder.math("DIVIDE", 1.0 / wavelength, inputs["Bump Size"])
-        builder.connect(builder.vector("SCALE", inputs["Position"], scale), noise.inputs["Vector"])
-        noise.inputs["Scale"].default_value, noise.inputs["Detail"].default_value = 1.0, octaves
-        seen = builder.math("DIVIDE", distance, builder.math("MULTIPLY", inputs["Bump Size"], reach))
-        seen = builder.math("SUBTRACT", 1.0, seen, True)
-        bump = builder.math("MULTIPLY", builder.math("SUBTRACT", noise.outputs[0], 0.5), seen)
-        length = builder.math("MULTIPLY", inputs["Bump Size"], relative_height)
-        height = builder.math("ADD", builder.math("MULTIPLY", bump, length), height)
-        factor = builder.math("ADD", builder.math("MULTIPLY", bump, BUMP_COLOR), factor)
-    return height, factor
+def _noise(builder: NodeBuilder, position: bpy.types.NodeSocket, scale: SocketOrValue, octaves: float) -> bpy.types.NodeSocket:
+    """Return noise with a mean of 0 at a position."""
+    noise = builder.node("ShaderNodeTexNoise")
+    builder.connect(builder.vector("SCALE", position, scale), noise.inputs["Vector"])
+    noise.inputs["Scale"].default_value, noise.inputs["Detail"].default_value = 1.0, octaves
+    return builder.math("SUBTRACT", noise.outputs[0], 0.5)
+
+
+def _build_rock(
+    builder: NodeBuilder, inputs: bpy.types.bpy_prop_collection, position_z: bpy.types.NodeSocket, noise: bpy.types.NodeSocket
+) -> bpy.types.NodeSocket:
+    """Return the color of rock with its layers, which noise bends."""
+    scale = builder.math("DIVIDE", inputs["Strata Scale"], inputs["Size"])
+    layers = builder.node("ShaderNodeTexNoise", {"noise_dimensions": "1D"})
+    bent = builder.math("MULTIPLY", noise, builder.math("DIVIDE", inputs["Size"], inputs["Noise Scale"]))
+    bent = builder.math("ADD", position_z, builder.math("MULTIPLY", bent, STRATA_WARP))
+    builder.connect(builder.math("MULTIPLY", bent, scale), layers.inputs["W"])
+    layers.inputs["Scale"].default_value, layers.inputs["Detail"].default_value = 1.0, 4.0
+    return builder.mix(_ramp(builder, layers.outputs[0], 0.5, 0.15), inputs["Rock"], inputs["Strata"])
+
+
+@dataclass(frozen=True)
+class BumpSockets:
+    """What bumps do to the ground.
+
+    Attributes:
+        height: a length.
+        pattern: about -1 to 1, mean 0.
+        brightness: a factor, which is less than 1 in hollows.
+    """
+
+    height: bpy.types.NodeSocket
+    pattern: bpy.types.NodeSocket
+    brightness: bpy.types.NodeSocket
+
+
+def _build_bumps(builder: NodeBuilder, inputs: bpy.types.bpy_prop_collection) -> BumpSockets:
+    """Return the bumps at the position."""
+    view_distance = builder.node("ShaderNodeCameraData").outputs["View Distance"]
+    distance = builder.math("DIVIDE", view_distance, inputs["Bump Size"])
+    height, pattern, brightness = 0.0, 0.0, 1.0
+    for bumps in BUMPS:
+        scale = builder.math("DIVIDE", 1.0 / bumps.wavelength, inputs["Bump Size"])
+        seen = builder.math("SUBTRACT", 1.0, builder.math("DIVIDE", distance, bumps.farthest), True)
+        if bumps.nearest:
+            seen = builder.math("MULTIPLY", seen, builder.math("DIVIDE", distance, bumps.nearest, True))
+        bump = builder.math("MULTIPLY", _noise(builder, inputs["Position"], scale, bumps.octaves), seen)
+        height = builder.math("ADD", builder.math("MULTIPLY", bump, builder.math("MULTIPLY", inputs["Bump Size"], bumps.height)), height)
+        pattern = builder.math("ADD", bump, pattern)
+        brightness = builder.math("ADD", builder.math("MULTIPLY", bump, bumps.contrast), brightness)
+    return BumpSockets(height, pattern, brightness)
+
+
+def _between(builder: NodeBuilder, fraction: bpy.types.NodeSocket, low: float) -> bpy.types.NodeSocket:
+    """Return a number between `low` and 1."""
+    return builder.math("ADD", builder.math("MULTIPLY", fraction, 1.0 - low), low)
 
 
 def _ramp(builder: NodeBuilder, value: SocketOrValue, center: SocketOrValue, half_width: SocketOrValue) -> bpy.types.NodeSocket:
     """Return a linear ramp from 0 at `center` - `half_width` to 1 at `center` + `half_width`."""
     width = builder.math("MULTIPLY", half_width, 2.0)
     return builder.math("ADD", builder.math("DIVIDE", builder.math("SUBTRACT", value, center), width), 0.5, True)
-
-
-def _ensure_grain_image() -> bpy.types.Image:
-    """Return a tileable gray image of grains of all sizes, which all terrains of the file share."""
-    for image in bpy.data.images:
-        if image.name.startswith(GRAIN_IMAGE) and image.library is None and image.size[0] == GRAIN.resolution:
-            return image
-    spectrum = np.fft.rfft2(np.random.default_rng(1).normal(size=(GRAIN.resolution, GRAIN.resolution)))
-    frequency = np.hypot(np.fft.fftfreq(GRAIN.resolution)[:, None], np.fft.rfftfreq(GRAIN.resolution)) * GRAIN.resolution
-    gray = np.fft.irfft2(spectrum / np.maximum(frequency, GRAIN.min_frequency) ** GRAIN.falloff)
-    gray = np.clip(0.5 + GRAIN.deviation * (gray - gray.mean()) / gray.std(), 0.0, 1.0)
-    pixels = np.ones((GRAIN.resolution, GRAIN.resolution, 4), np.float32)
-    pixels[..., :3] = gray[..., None]
-    return create_image(GRAIN_IMAGE, pixels, is_data=True)

@@ -15,14 +15,16 @@ from ...core.clipbox.engine import BlockKey, Update
 from ...core.clipbox.settings import ClipboxSettings
 from ...core.clipbox.to_mesh import ConvertedMesh
 from ...core.jobs.progress import Progress, Steps
-from ..geometry.mesh_arrays import write_uvs
+from ..geometry.mesh_arrays import write_triangles, write_uvs
 from ..geometry.mesh_pool import PendingMeshes, fill_mesh, mark_spare
 from ..terrain_roots import TerrainRoot, copy_material, link_collection, remove_terrain
+from .materials import create_water_material, set_water
 from .sources import absolute_path
 
 # custom properties of the root and of blocks
 SETTINGS_KEY, ORIGIN_KEY, VIEWER_KEY = "farfield_clipbox_settings", "farfield_clipbox_origin", "farfield_clipbox_viewer"
-BLOCK_KEY = "farfield_clipbox_block"
+BLOCK_KEY, WATER_KEY = "farfield_clipbox_block", "farfield_clipbox_water"
+WATER_SIZE = 8.0  # Side of the surface of water, relative to that of the outermost box.
 TERRAIN_NAME, CONVERTED_NAME = "Clip-Box Terrain", "Terrain Mesh"
 POOL = "clipbox"
 
@@ -53,6 +55,15 @@ class SceneTerrain(TerrainRoot):
     def blocks(self) -> dict[str, bpy.types.Object]:
         """Return its block objects by `block_name`."""
         return {str(child[BLOCK_KEY]): child for child in self.root.children if BLOCK_KEY in child and child.type == "MESH"}
+
+    def ground_objects(self) -> list[bpy.types.Object]:
+        """Return its blocks."""
+        return list(self.blocks().values())
+
+    @property
+    def water(self) -> bpy.types.Object | None:
+        """The surface of its water, None if it has none."""
+        return next((child for child in self.root.children if WATER_KEY in child), None)
 
     @property
     def material(self) -> bpy.types.Material | None:
@@ -127,6 +138,27 @@ def show_meshes(terrain: SceneTerrain, pending: PendingMeshes, update: Update, m
     terrain.root[VIEWER_KEY] = update.viewer.tolist()
 
 
+def show_water(terrain: SceneTerrain, settings: ClipboxSettings) -> None:
+    """Add, move or remove the water that the settings ask for, and tell the material of the ground."""
+    origin, water, height = terrain.origin, terrain.water, None
+    if settings.water:
+        height = settings.water_level - float(origin[2])
+        half = 0.5 * WATER_SIZE * settings.voxel_size * settings.resolution * 2 ** (settings.boxes - 1)
+        corners = np.array([[-half, -half, height], [half, -half, height], [half, half, height], [-half, half, height]])
+        mesh = water.data if water is not None else bpy.data.meshes.new(f"{terrain.name} Water")
+        mesh.clear_geometry()
+        write_triangles(mesh, corners, np.array([[0, 1, 2], [0, 2, 3]]))
+        if water is None:
+            mesh.materials.append(create_water_material(settings.voxel_size))
+            terrain.add_child(mesh.name, mesh)[WATER_KEY] = True
+    elif water is not None:
+        mesh = water.data
+        bpy.data.objects.remove(water)
+        bpy.data.meshes.remove(mesh)
+    if terrain.material is not None:
+        set_water(terrain.material, height)
+
+
 def add_converted_meshes(scene: bpy.types.Scene, terrain: SceneTerrain, parts: list[ConvertedMesh]) -> tuple[str, ...]:
     """Create objects of converted meshes at the terrain's position, in a new collection. Returns their names."""
     origin = terrain.origin
@@ -150,4 +182,5 @@ def add_converted_meshes(scene: bpy.types.Scene, terrain: SceneTerrain, parts: l
 
 def remove(terrain: SceneTerrain) -> None:
     """Remove a terrain with its blocks and, if nothing else is in it, its collection."""
-    remove_terrain(terrain, list(terrain.blocks().values()))
+    water = [terrain.water] if terrain.water is not None else []
+    remove_terrain(terrain, [*terrain.blocks().values(), *water])

@@ -16,6 +16,7 @@ LANDSCAPES = {
     "hills": Choice("Hills", "Rounded hills with brooks between them"),
     "canyon": Choice("Canyon", "A plateau that rivers have cut into, down through layers of hard and soft rock"),
     "mesas": Choice("Mesas", "Table mountains with cliffs above scree"),
+    "coast": Choice("Coast", "Cliffs, beaches and sea stacks, with the level of the sea at z = 0"),
     "dunes": Choice("Dunes", "Sand that the wind has piled up, gentle on its side and steep behind"),
 }
 TERRAINS = LANDSCAPES | {
@@ -41,7 +42,7 @@ SURFACES = {
 class ClipboxSettings(Settings):
     """Settings of a terrain in nested boxes."""
 
-    terrain: str = in_terrain("cascades", "Shape of the terrain", choices=TERRAINS)
+    terrain: str = in_terrain("mesas", "Shape of the terrain", choices=TERRAINS)
     formula: str = in_terrain(
         "30*sin(x/40)*sin(y/40) - z",
         "Density as a function of x, y and z in scene units; positive values are solid",
@@ -80,6 +81,8 @@ class ClipboxSettings(Settings):
     erosion: float = for_landscapes(1.0, "Factor of the depth of gullies", minimum=0.0, maximum=2.0)
     seed: int = in_terrain(0, "Random seed; every value gives a different terrain of the same kind", minimum=0, maximum=2**31 - 1)
     scale: float = in_terrain(1.0, "Size factor of all terrain features", minimum=1e-3, maximum=1e3)
+    water: bool = in_terrain(False, "Add a lake or sea. Ground below it takes on the color of deep water")
+    water_level: float = in_terrain(0.0, "z of the water", minimum=-1e6, maximum=1e6, unit=Unit.LENGTH, used_if={"water": True})
     voxel_size: float = in_boxes(1.0, "Side of the smallest voxels", minimum=1e-4, maximum=1e4, unit=Unit.LENGTH)
     resolution: int = in_boxes(64, "Voxels along each side of every box", minimum=32, maximum=256)
     boxes: int = in_boxes(7, "Number of nested boxes, each twice as large as the next inner one", minimum=1, maximum=10)

@@ -76,6 +76,7 @@ class TerrainJob:
             self.terrain.name, self.terrain.root, *height_range(core_result, origin), settings.voxel_size, ground_image, settings.terrain
         )
         terrain_objects.show_meshes(self.terrain, pending, core_result, material)
+        terrain_objects.show_water(self.terrain, settings)
         cache.store(self.terrain, self.engine)
         self.update = core_result
         triangles = sum(len(mesh.triangles) for mesh in core_result.meshes.values())

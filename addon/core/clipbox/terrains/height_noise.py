@@ -22,6 +22,8 @@ KERNEL_RADIUS = 1.25  # Of the waves of gullies, in cells. A kernel farther than
 JITTER = 0.5  # Of the centers of kernels, in cells.
 MAX_GAIN = 1.6  # By which waves that cancel out are strengthened.
 MEAN_DEPTH = 0.2  # Of gullies, relative to their amplitude: more is eroded than added.
+BRANCHING = 0.7  # How much gullies turn those that lead to them. More makes knife edges where the gradient turns at once.
+SHARPNESS = 1.6  # Of ridges between gullies: they need as many times the samples of waves.
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,14 @@ class Heights:
     def scale(self, factor: float) -> "Heights":
         """Return `factor` times these heights."""
         return Heights(*(np.float32(factor) * values for values in (self.height, self.gradient_x, self.gradient_y)))
+
+    def multiply(self, other: "Heights") -> "Heights":
+        """Return the product of two fields."""
+        gradient_x, gradient_y = (
+            first * other.height + self.height * second
+            for first, second in ((self.gradient_x, other.gradient_x), (self.gradient_y, other.gradient_y))
+        )
+        return Heights(self.height * other.height, gradient_x, gradient_y)
 
     def map(self, height: np.ndarray, derivative: np.ndarray) -> "Heights":
         """Return a function of these heights, whose values and `derivative` (X, Y) are given."""
@@ -126,17 +136,17 @@ def sum_octaves(x: np.ndarray, y: np.ndarray, spacing: float, wavelength: float,
 
 def carve_gullies(ground: Heights, x: np.ndarray, y: np.ndarray, spacing: float, gullies: Gullies, seed: int) -> Heights:
     """Return ground with gullies. x, y: positions (X, Y). spacing: of samples; gullies that it cannot resolve fade out."""
-    wavelength, depth = gullies.wavelength, gullies.depth
+    wavelength, depth, guide = gullies.wavelength, gullies.depth, ground
     for octave in range(gullies.octaves):
-        shown = resolve(wavelength, spacing)
+        shown = resolve(wavelength, SHARPNESS * spacing)
         if shown == 0.0:
             break
         squares = ground.steepness**2  # So that gullies fade where the gradient turns around summits and hollows.
         factor = np.float32(shown * depth * wavelength) * squares / (squares + np.float32(gullies.onset**2))
-        waves = _waves_across_gradient(ground, x / wavelength, y / wavelength, seed + octave)
+        waves = _waves_across_gradient(guide, x / wavelength, y / wavelength, seed + octave)
         rate = np.float32(1.0 / wavelength)
         scaled = Heights(waves.height - np.float32(MEAN_DEPTH), waves.gradient_x * rate, waves.gradient_y * rate)
-        ground = ground.add(scaled, factor)
+        ground, guide = ground.add(scaled, factor), guide.add(scaled, np.float32(BRANCHING) * factor)
         wavelength *= 0.5
         depth *= gullies.gain
     return ground

@@ -78,6 +78,22 @@ def mesas(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights
     return _layers(_layers(ground, 65.0, 0.95), 11.0, 0.5)
 
 
+def coast(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
+    """Return land that falls to the sea in cliffs or beaches, with stacks of rock before the cliffs. The sea is at 0."""
+    land = warp(lambda x, y: sum_octaves(x, y, spacing, 3_000.0, 5, shape.seed, 0.4), x, y, spacing, 700.0, 80.0, shape.seed + WARPS)
+    inland = sum_octaves(x, y, spacing, 1_400.0, 4, shape.seed + MORE, 0.45).scale(22.0)
+    cliffs = _rise(land, -0.01, 0.012).scale(46.0).add(_rise(land, 0.3, 0.3), 70.0).add(_rise(land, -0.16, 0.16), 30.0)
+    cliffs = cliffs.multiply(inland.map(1.0 + inland.height / np.float32(60.0), np.float32(1.0 / 60.0)))
+    beaches = _rise(land, 0.05, 0.16).scale(48.0).add(_rise(land, 0.3, 0.3), 70.0).add(_rise(land, -0.16, 0.16), 30.0)
+    kinds = sum_octaves(x, y, spacing, 1_100.0, 2, shape.seed + MORE + 8)
+    ground = beaches.add(cliffs.add(beaches, -1.0).multiply(_rise(kinds, -0.1, 0.14)))
+    ground = ground.map((ground.height - np.float32(39.0)) * np.float32(shape.ruggedness), np.float32(shape.ruggedness))
+    ground = carve_gullies(ground, x, y, spacing, Gullies(420.0, 6, 0.045 * shape.erosion, 0.8, 0.35), shape.seed + GULLIES)
+    stacks = sum_octaves(x, y, spacing, 150.0, 3, shape.seed + MORE + 12, 0.4)
+    near_shore = _cut(land.map(land.height + np.float32(0.07), np.float32(1.0)), 0.085)
+    return ground.add(_rise(stacks, 0.42, 0.07).multiply(near_shore), 58.0 * shape.ruggedness)
+
+
 def dunes(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
     """Return dunes across the wind, which blows along x: gentle on its side and steep behind."""
     ground = sum_octaves(x, y, spacing, 1_300.0, 2, shape.seed, 0.4).scale(11.3 * shape.ruggedness)
@@ -107,6 +123,12 @@ def _cut(places: Heights, width: float) -> Heights:
     return places.map(value, -4.0 * t**3 * value / np.float32(width))
 
 
+def _rise(places: Heights, center: float, width: float) -> Heights:
+    """Return 0 where `places` are far below `center` and 1 far above, with an S-curve between."""
+    value = 0.5 + 0.5 * np.tanh((places.height - np.float32(center)) / np.float32(width))
+    return places.map(value, np.float32(2.0 / width) * value * (1.0 - value))
+
+
 def _layers(ground: Heights, thickness: float, hardness: float) -> Heights:
     """Return ground with ledges: layers of a thickness, of which each has a steep and a level part. hardness: from 0 to 1."""
     phase = ground.height * np.float32(2.0 * np.pi / thickness)
@@ -114,7 +136,7 @@ def _layers(ground: Heights, thickness: float, hardness: float) -> Heights:
     return ground.map(step, 1.0 - np.float32(hardness) * np.cos(phase))
 
 
-LANDSCAPES: dict[str, Ground] = {"alps": alps, "hills": hills, "canyon": canyon, "mesas": mesas, "dunes": dunes}
+LANDSCAPES: dict[str, Ground] = {"alps": alps, "hills": hills, "canyon": canyon, "mesas": mesas, "coast": coast, "dunes": dunes}
 
 
 def read_shape(source: ClipboxSettings) -> Shape:
@@ -122,11 +144,16 @@ def read_shape(source: ClipboxSettings) -> Shape:
     return Shape(SEEDS * source.seed, source.ruggedness, source.erosion)
 
 
-def build_landscape(source: ClipboxSettings) -> DensityFunction:
-    """Build the landscape that the settings name. At x = y = 0, its ground is about at z = 0."""
-    ground, shape, scale = LANDSCAPES[source.terrain], read_shape(source), source.scale
+def find_base(terrain: str, shape: Shape) -> float:
+    """Return the height of a landscape that is at z = 0: that of the sea, or of the ground at x = y = 0."""
     origin = np.zeros((1, 1))
-    base = ground(origin, origin, 1.0, shape).height
+    return 0.0 if terrain == "coast" else float(LANDSCAPES[terrain](origin, origin, 1.0, shape).height[0, 0])
+
+
+def build_landscape(source: ClipboxSettings) -> DensityFunction:
+    """Build the landscape that the settings name. At x = y = 0, its ground is about at z = 0; the sea of *Coast* is at z = 0."""
+    ground, shape, scale = LANDSCAPES[source.terrain], read_shape(source), source.scale
+    base = np.float32(find_base(source.terrain, shape))
 
     def densities(grid: Grid) -> np.ndarray:
         x, y, z = (values / scale for values in grid.coordinates())

@@ -1,0 +1,173 @@
+"""A World with sky, a Sun light, and haze on the ground: one setup for landscapes.
+
+The haze is a node group before the output of materials. It mixes their light with that of the sky in the direction of the view, by the
+length of the ray through air whose density falls with height. Only the camera sees it, so that shadows and reflections stay as they are.
+"""
+
+import math
+from collections.abc import Iterable
+
+import bpy
+import mathutils
+
+from ..compat import enable_nodes
+from ..core.sky import LIGHT_VALUES, Light, SkySettings
+from .shading.node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
+
+WORLD_NAME, SUN_NAME, HAZE_GROUP, HAZE_VERSION = "Farfield Sky", "Farfield Sun", "Farfield Haze", 1
+SHARED_SURFACE = "Farfield Terrain Ground"
+SKY_STRENGTH = 0.1  # From the radiance of Blender's sky to the strength of its Sun lights.
+HORIZON = 0.04  # Lowest z of the directions in which the sky is read for haze.
+HAZE_HEIGHT = 0.12  # Height by which the density of air falls to 37 %, relative to the size of the terrain.
+HAZE_INPUTS = (("Shader", "Shader"), ("Distance", "Float"), ("Height", "Float"), ("Base Height", "Float"))
+SKY_TYPES = ("MULTIPLE_SCATTERING", "NISHITA")  # The first that Blender has.
+
+
+def add_sky(scene: bpy.types.Scene, settings: SkySettings) -> bpy.types.Object:
+    """Give a scene a World with sky and a Sun light, or change those that it got before. A World of the user stays in the file.
+
+    Returns the Sun light.
+    """
+    light, users_world = LIGHT_VALUES[settings.light], find_users_world(scene)
+    if users_world is not None and users_world.library is None:
+        users_world.use_fake_user = True
+    if users_world is not None or scene.world is None:
+        scene.world = bpy.data.worlds.new(WORLD_NAME)
+    world = scene.world
+    enable_nodes(world)
+    world.node_tree.nodes.clear()
+    builder = NodeBuilder(world.node_tree)
+    background = builder.node("ShaderNodeBackground")
+    sky = _add_sky_texture(builder, light, settings.sun_direction)
+    builder.connect(sky.outputs["Color"], background.inputs["Color"])
+    background.inputs["Strength"].default_value = SKY_STRENGTH * light.sky
+    builder.connect(background.outputs[0], builder.node("ShaderNodeOutputWorld").inputs["Surface"])
+    builder.arrange()
+    sun = next((item for item in scene.objects if item.name.startswith(SUN_NAME) and item.type == "LIGHT"), None)
+    if sun is None:
+        sun = bpy.data.objects.new(SUN_NAME, bpy.data.lights.new(SUN_NAME, "SUN"))
+        scene.collection.objects.link(sun)
+    sun.data.energy, sun.data.angle, sun.data.color = light.strength, light.angle, light.color.tolist()
+    to_sun = _direction(light.elevation, settings.sun_direction)
+    sun.rotation_mode, sun.rotation_euler = "XYZ", to_sun.to_track_quat("Z", "Y").to_euler()
+    return sun
+
+
+def find_users_world(scene: bpy.types.Scene) -> bpy.types.World | None:
+    """Return the World of a scene that `add_sky` replaces, None if it changes its own."""
+    world = scene.world
+    return world if world is not None and (world.library is not None or not world.name.startswith(WORLD_NAME)) else None
+
+
+def find_haze_trees(materials: Iterable[bpy.types.Material]) -> list[bpy.types.NodeTree]:
+    """Return the node trees of materials to add haze to: the group from color to surface where the materials of a terrain share one."""
+    found = {}
+    for material in materials:
+        tree = material.node_tree
+        for node in tree.nodes if tree is not None else ():
+            if node.type == "GROUP" and node.node_tree is not None and node.node_tree.name.startswith(SHARED_SURFACE):
+                tree = node.node_tree
+        if tree is not None and tree.library is None:
+            found[tree] = None
+    return list(found)
+
+
+def add_haze(tree: bpy.types.NodeTree, settings: SkySettings, size: float, base_height: float) -> None:
+    """Put haze before the output of a material's node tree, or of a node group whose output is a shader.
+
+    size: of the terrain, scene units; its farthest ground is half as far away. base_height: of dense air, z in world space.
+    """
+    group = _ensure_haze_group(settings)
+    node = next((item for item in tree.nodes if item.type == "GROUP" and item.node_tree == group), None)
+    if node is None:
+        builder = NodeBuilder(tree)
+        node = builder.node("ShaderNodeGroup", {"node_tree": group, "width": 160.0})
+        for target in _find_outputs(tree):
+            if target.is_linked:
+                builder.connect(target.links[0].from_socket, node.inputs["Shader"])
+                builder.connect(node.outputs["Shader"], target)
+        builder.arrange()
+    node.inputs["Distance"].default_value = 0.5 * size / -math.log(1.0 - settings.haze) if settings.haze else 1e12
+    node.inputs["Height"].default_value, node.inputs["Base Height"].default_value = HAZE_HEIGHT * size, base_height
+
+
+def _find_outputs(tree: bpy.types.NodeTree) -> list[bpy.types.NodeSocket]:
+    """Return the sockets that a surface is connected to."""
+    found = []
+    for node in tree.nodes:
+        if node.type == "OUTPUT_MATERIAL":
+            found.append(node.inputs["Surface"])
+        elif node.type == "GROUP_OUTPUT":
+            found += [socket for socket in node.inputs if socket.type == "SHADER"]
+    return found
+
+
+def _direction(elevation: float, azimuth: float) -> mathutils.Vector:
+    """Return the unit vector of a direction above the horizon, clockwise from the Y axis."""
+    return mathutils.Vector((math.cos(elevation) * math.sin(azimuth), math.cos(elevation) * math.cos(azimuth), math.sin(elevation)))
+
+
+def _add_sky_texture(builder: NodeBuilder, light: Light, azimuth: float) -> bpy.types.Node:
+    """Add the sky without the disk of the Sun, which is a light of its own."""
+    sky = builder.node("ShaderNodeTexSky")
+    known = {item.identifier for item in sky.bl_rna.properties["sky_type"].enum_items}
+    sky.sky_type = next(name for name in SKY_TYPES if name in known)
+    sky.sun_disc, sky.sun_elevation, sky.sun_rotation = False, light.elevation, azimuth
+    dust = "aerosol_density" if hasattr(sky, "aerosol_density") else "dust_density"
+    setattr(sky, dust, light.dust)
+    return sky
+
+
+def _ensure_haze_group(settings: SkySettings) -> bpy.types.NodeTree:
+    """Return the node group of haze, with the sky of the settings."""
+    group = ensure_shared_group(HAZE_GROUP, HAZE_VERSION, HAZE_INPUTS, (("Shader", "Shader"),), _fill_haze_group)
+    light = LIGHT_VALUES[settings.light]
+    for node in group.nodes:
+        if node.type == "EMISSION":
+            node.inputs["Strength"].default_value = SKY_STRENGTH * light.sky
+        elif node.type == "TEX_SKY":
+            group.nodes.remove(node)
+    builder = NodeBuilder(group)
+    sky = _add_sky_texture(builder, light, settings.sun_direction)
+    emission = next(node for node in group.nodes if node.type == "EMISSION")
+    direction = next(node for node in group.nodes if node.label == "Direction")
+    builder.connect(direction.outputs[0], sky.inputs["Vector"])
+    builder.connect(sky.outputs["Color"], emission.inputs["Color"])
+    builder.arrange()
+    return group
+
+
+def _fill_haze_group(builder: NodeBuilder) -> None:
+    inputs = builder.node("NodeGroupInput").outputs
+    geometry, camera_data = builder.node("ShaderNodeNewGeometry"), builder.node("ShaderNodeCameraData")
+    backward = builder.separate(geometry.outputs["Incoming"])
+    forward = [builder.math("MULTIPLY", axis, -1.0) for axis in backward[:2]]
+    direction = builder.combine(*forward, builder.math("MAXIMUM", builder.math("MULTIPLY", backward[2], -1.0), HORIZON))
+    direction.node.label = "Direction"
+    distance = camera_data.outputs["View Distance"]
+    height = builder.math("SUBTRACT", builder.separate(geometry.outputs["Position"])[2], inputs["Base Height"])
+    climb = builder.math("MULTIPLY", distance, backward[2])
+    lowest = builder.math("MAXIMUM", builder.math("MINIMUM", height, builder.math("ADD", height, climb)), 0.0)
+    change = builder.math("DIVIDE", builder.math("ABSOLUTE", climb), inputs["Height"])
+    density = _falloff(builder, builder.math("DIVIDE", lowest, inputs["Height"]))
+    depth = builder.math("MULTIPLY", density, _mean_falloff(builder, change))
+    depth = builder.math("MULTIPLY", depth, builder.math("DIVIDE", distance, inputs["Distance"]))
+    passed = _falloff(builder, depth)
+    is_camera = builder.node("ShaderNodeLightPath").outputs["Is Camera Ray"]
+    haze = builder.math("MULTIPLY", builder.math("SUBTRACT", 1.0, passed), is_camera)
+    mix, emission = builder.node("ShaderNodeMixShader"), builder.node("ShaderNodeEmission")
+    builder.connect(haze, mix.inputs[0])
+    builder.connect(inputs["Shader"], mix.inputs[1])
+    builder.connect(emission.outputs[0], mix.inputs[2])
+    builder.connect(mix.outputs[0], builder.node("NodeGroupOutput").inputs["Shader"])
+
+
+def _falloff(builder: NodeBuilder, fraction: SocketOrValue) -> bpy.types.NodeSocket:
+    """Return exp(-fraction)."""
+    return builder.math("EXPONENT", builder.math("MULTIPLY", fraction, -1.0))
+
+
+def _mean_falloff(builder: NodeBuilder, change: SocketOrValue) -> bpy.types.NodeSocket:
+    """Return the mean of exp(-t) for t from 0 to a positive `change`: (1 - exp(-change)) / change."""
+    safe = builder.math("MAXIMUM", change, 1e-3)
+    return builder.math("DIVIDE", builder.math("SUBTRACT", 1.0, _falloff(builder, safe)), safe)

@@ -1,0 +1,49 @@
+"""The operator *Add Sky and Haze*, for the landscapes of both terrain tools."""
+
+import bpy
+import mathutils
+import numpy as np
+
+from ..bridge import sky
+from ..bridge.terrain_roots import TerrainRoot
+from ..core.sky import SkySettings
+from . import follow_tools, properties
+from .error_reports import report_message, reports_errors
+
+
+class FARFIELD_OT_add_sky(bpy.types.Operator):
+    """Give the scene a World with sky and a Sun light, and the terrains in it haze. Sky and Sun of this button change; other lights and
+    Worlds stay in the file"""
+
+    bl_idname = "farfield.add_sky"
+    bl_label = "Add Sky and Haze"
+    bl_options = {"REGISTER", "UNDO"}
+    __annotations__ = properties.build_annotations(SkySettings, set())
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Add the sky and the Sun, and haze to the materials of terrains."""
+        settings, scene = properties.read(SkySettings, self), context.scene
+        replaced = sky.find_users_world(scene)
+        sky.add_sky(scene, settings)
+        terrains = [terrain for tool in follow_tools.registered.values() for terrain in tool.terrain_type.in_scene(scene)]
+        for terrain in terrains:
+            if not terrain.read_only_reason:
+                add_haze(terrain, settings)
+        note = f' The World "{replaced.name}" stays in the file.' if replaced is not None else ""
+        report_message(self, f"Added sky and Sun{', and haze to the ground' if terrains else ''}.{note}")
+        return {"FINISHED"}
+
+
+def add_haze(terrain: TerrainRoot, settings: SkySettings) -> None:
+    """Add haze to the materials of a terrain, as dense as its size asks for."""
+    ground = terrain.ground_objects()
+    if not ground:
+        return
+    corners = np.array([item.matrix_world @ point for item in ground for point in map(mathutils.Vector, item.bound_box)])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    for tree in sky.find_haze_trees({material for item in ground for material in item.data.materials if material is not None}):
+        sky.add_haze(tree, settings, float((high - low)[:2].max()), float(low[2]))
+
+
+register, unregister = bpy.utils.register_classes_factory((FARFIELD_OT_add_sky,))
