@@ -7,7 +7,6 @@ import bpy
 import numpy as np
 
 from ...core.errors import FileError
-from ..imaging.images import create_image
 from ..shading.node_builder import NodeBuilder, SocketOrValue, create_node_material, ensure_shared_group
 from ..shading.solid_view import show_color
 
@@ -53,10 +52,10 @@ WATER_IOR, WAVELENGTH, WAVE_HEIGHT = 1.333, 9.0, 1.2  # Lengths relative to the 
 CALM_DISTANCE, ROUGH_DISTANCE, CALM_ROUGHNESS, MAX_ROUGHNESS = 120.0, 8000.0, 0.02, 0.22
 INPUTS = (
     ("Position", "Vector"), ("Rock", "Color"), ("Strata", "Color"), ("Scree", "Color"), ("Grass", "Color"), ("Undergrowth", "Color"),
-    ("Sand", "Color"), ("Snow", "Color"), ("Rock Slope", "Float"), ("Scree Width", "Float"), ("Snow Height", "Float"),
-    ("Sand Height", "Float"), ("Water Height", "Float"), ("Water", "Color"), ("Clarity", "Float"), ("Size", "Float"), ("Height Blend", "Float"), ("Height Noise", "Float"),
-    ("Slope Blend", "Float"), ("Slope Noise", "Float"), ("Noise Scale", "Float"), ("Strata Scale", "Float"), ("Color Noise", "Float"),
-    ("Roughness", "Float"), ("Bump Size", "Float"), ("Bump Strength", "Float"),
+    ("Sand", "Color"), ("Snow", "Color"), ("Water", "Color"), ("Rock Slope", "Float"), ("Scree Width", "Float"), ("Snow Height", "Float"),
+    ("Sand Height", "Float"), ("Water Height", "Float"), ("Clarity", "Float"), ("Size", "Float"), ("Height Blend", "Float"),
+    ("Height Noise", "Float"), ("Slope Blend", "Float"), ("Slope Noise", "Float"), ("Noise Scale", "Float"), ("Strata Scale", "Float"),
+    ("Color Noise", "Float"), ("Roughness", "Float"), ("Bump Size", "Float"), ("Bump Strength", "Float"),
 )  # fmt: skip
 OUTPUTS = ("Color", "Color"), ("Roughness", "Float"), ("Normal", "Vector")
 LAYERS = ("Rock", "Strata", "Scree", "Grass", "Undergrowth", "Sand", "Snow")  # The inputs that are colors of the ground.
