@@ -17,7 +17,7 @@ from .shading.node_builder import NodeBuilder, SocketOrValue, ensure_shared_grou
 WORLD_NAME, SUN_NAME, HAZE_GROUP, HAZE_VERSION = "Farfield Sky", "Farfield Sun", "Farfield Haze", 1
 SHARED_SURFACE = "Farfield Terrain Ground"
 SKY_STRENGTH = 0.1  # From the radiance of Blender's sky to the strength of its Sun lights.
-HORIZON = 0.04  # Lowest z of the directions in which the sky is read for haze.
+HORIZON = 0.04  # Lowest z of the directions in which the sky is read.
 HAZE_HEIGHT = 0.12  # Height by which the density of air falls to 37 %, relative to the size of the terrain.
 HAZE_INPUTS = (("Shader", "Shader"), ("Distance", "Float"), ("Height", "Float"), ("Base Height", "Float"))
 SKY_TYPES = ("MULTIPLE_SCATTERING", "NISHITA")  # The first that Blender has.
@@ -39,6 +39,8 @@ def add_sky(scene: bpy.types.Scene, settings: SkySettings) -> bpy.types.Object:
     builder = NodeBuilder(world.node_tree)
     background = builder.node("ShaderNodeBackground")
     sky = _add_sky_texture(builder, light, settings.sun_direction)
+    direction = builder.node("ShaderNodeTexCoord").outputs["Generated"]
+    builder.connect(_above_horizon(builder, *builder.separate(direction)), sky.inputs["Vector"])
     builder.connect(sky.outputs["Color"], background.inputs["Color"])
     background.inputs["Strength"].default_value = SKY_STRENGTH * light.sky
     builder.connect(background.outputs[0], builder.node("ShaderNodeOutputWorld").inputs["Surface"])
@@ -141,8 +143,7 @@ def _fill_haze_group(builder: NodeBuilder) -> None:
     inputs = builder.node("NodeGroupInput").outputs
     geometry, camera_data = builder.node("ShaderNodeNewGeometry"), builder.node("ShaderNodeCameraData")
     backward = builder.separate(geometry.outputs["Incoming"])
-    forward = [builder.math("MULTIPLY", axis, -1.0) for axis in backward[:2]]
-    direction = builder.combine(*forward, builder.math("MAXIMUM", builder.math("MULTIPLY", backward[2], -1.0), HORIZON))
+    direction = _above_horizon(builder, *(builder.math("MULTIPLY", axis, -1.0) for axis in backward))
     direction.node.label = "Direction"
     distance = camera_data.outputs["View Distance"]
     height = builder.math("SUBTRACT", builder.separate(geometry.outputs["Position"])[2], inputs["Base Height"])
@@ -160,6 +161,11 @@ def _fill_haze_group(builder: NodeBuilder) -> None:
     builder.connect(inputs["Shader"], mix.inputs[1])
     builder.connect(emission.outputs[0], mix.inputs[2])
     builder.connect(mix.outputs[0], builder.node("NodeGroupOutput").inputs["Shader"])
+
+
+def _above_horizon(builder: NodeBuilder, x: SocketOrValue, y: SocketOrValue, z: SocketOrValue) -> bpy.types.NodeSocket:
+    """Return a direction, or that of the horizon above it: Blender's sky is black below."""
+    return builder.combine(x, y, builder.math("MAXIMUM", z, HORIZON))
 
 
 def _falloff(builder: NodeBuilder, fraction: SocketOrValue) -> bpy.types.NodeSocket:

@@ -76,6 +76,14 @@ def test_the_world_of_the_user_stays_and_a_second_time_changes_the_first():
     assert sun.data.color[0] == pytest.approx(1.0) and sun.data.color[2] < 0.5
 
 
+def test_no_direction_of_the_world_is_black(tmp_path):
+    scene, wall = hazy_wall(0.5 * SIZE, 0.4, 0.0)
+    bpy.data.objects.remove(wall)
+    sky.add_sky(scene, SkySettings())
+    scene.camera.rotation_euler = (0.0, 0.0, 0.0)  # Straight down.
+    assert render(scene, tmp_path) > 0.05
+
+
 def test_haze_is_added_once():
     material, builder = create_node_material("Ground")
     builder.connect(builder.node("ShaderNodeBsdfPrincipled").outputs[0], builder.node("ShaderNodeOutputMaterial").inputs["Surface"])
