@@ -44,6 +44,8 @@ BUMPS = (
     Bumps(0.8, 0.2, 5.0, 0.0, 160.0, 1.6),
 )
 SOFT_BUMPS = 0.3  # Height of bumps on soil and snow, relative to those on rock.
+# Joints of rock: ridges of noise, longer upwards than across.
+JOINTS, JOINT_ASPECT, JOINT_COLOR = Bumps(36.0, 7.0, 7.0, 0.0, 9000.0, 0.0), 0.35, 0.55
 BREAKUP = 0.35  # How much bumps move the borders between layers, relative to the variation by noise.
 STRATA_WARP = 0.35  # How far layers of rock are bent, relative to the size of the noise.
 WET_COLOR, WET_ROUGHNESS = 0.45, 0.35  # Of wet ground, relative to dry ground.
@@ -252,6 +254,8 @@ def _fill_ground_group(builder: NodeBuilder) -> None:
     color = builder.mix(is_soil, _build_rock(builder, inputs, position_z, noise), ground)
     noise_factor = builder.math("ADD", builder.math("MULTIPLY", noise, inputs["Color Noise"]), 1.0)
     brightness = builder.math("MULTIPLY", noise_factor, bumps.brightness)
+    joints = builder.math("MULTIPLY", _build_joints(builder, inputs), builder.math("SUBTRACT", 1.0, is_soil))
+    brightness = builder.math("MULTIPLY", brightness, builder.math("SUBTRACT", 1.0, builder.math("MULTIPLY", joints, JOINT_COLOR)))
     shore = builder.math("ADD", inputs["Water Height"], builder.math("MULTIPLY", inputs["Bump Size"], 2.0))
     is_dry = _ramp(
         builder, builder.math("ADD", position_z, builder.math("MULTIPLY", bumps.pattern, inputs["Bump Size"])), shore, inputs["Bump Size"]
@@ -263,12 +267,11 @@ def _fill_ground_group(builder: NodeBuilder) -> None:
     builder.connect(builder.mix(passed, inputs["Water"], builder.vector("SCALE", color, brightness)), output.inputs["Color"])
     roughness = builder.math("MULTIPLY", inputs["Roughness"], _between(builder, is_dry, WET_ROUGHNESS))
     builder.connect(roughness, output.inputs["Roughness"])
+    softness = builder.math("SUBTRACT", 1.0, builder.math("MULTIPLY", is_soil, 1.0 - SOFT_BUMPS))
+    joint_height = builder.math("MULTIPLY", joints, builder.math("MULTIPLY", inputs["Bump Size"], -JOINTS.height))
     bump = builder.node("ShaderNodeBump")
     builder.connect(inputs["Bump Strength"], bump.inputs["Strength"])
-    builder.connect(
-        builder.math("MULTIPLY", bumps.height, builder.math("SUBTRACT", 1.0, builder.math("MULTIPLY", is_soil, 1.0 - SOFT_BUMPS))),
-        bump.inputs["Height"],
-    )
+    builder.connect(builder.math("ADD", builder.math("MULTIPLY", bumps.height, softness), joint_height), bump.inputs["Height"])
     bump.inputs["Distance"].default_value = 1.0
     builder.connect(bump.outputs["Normal"], output.inputs["Normal"])
 
@@ -292,6 +295,16 @@ def _build_rock(
     builder.connect(builder.math("MULTIPLY", bent, scale), layers.inputs["W"])
     layers.inputs["Scale"].default_value, layers.inputs["Detail"].default_value = 1.0, 4.0
     return builder.mix(_ramp(builder, layers.outputs[0], 0.5, 0.15), inputs["Rock"], inputs["Strata"])
+
+
+def _build_joints(builder: NodeBuilder, inputs: bpy.types.bpy_prop_collection) -> bpy.types.NodeSocket:
+    """Return how far the position is in a joint of rock, from 0 to 1."""
+    view_distance = builder.node("ShaderNodeCameraData").outputs["View Distance"]
+    distance = builder.math("DIVIDE", view_distance, inputs["Bump Size"])
+    stretched = builder.vector("MULTIPLY", inputs["Position"], (1.0, 1.0, JOINT_ASPECT))
+    noise = _noise(builder, stretched, builder.math("DIVIDE", 1.0 / JOINTS.wavelength, inputs["Bump Size"]), JOINTS.octaves)
+    ridge = builder.math("SUBTRACT", 1.0, builder.math("MULTIPLY", builder.math("ABSOLUTE", noise), 5.0), True)
+    return builder.math("MULTIPLY", ridge, builder.math("SUBTRACT", 1.0, builder.math("DIVIDE", distance, JOINTS.farthest), True))
 
 
 @dataclass(frozen=True)
