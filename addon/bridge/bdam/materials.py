@@ -6,6 +6,7 @@ The material of a texture tile has one or two packed images, as coded in the sto
 import bpy
 
 from ...core.bdam.textures.tile_blocks import CodedTile
+from ..shading.ground import DEFAULTS, add_ground
 from ..shading.node_builder import NodeBuilder, create_node_material, ensure_shared_group
 from ..shading.solid_view import show_color, show_image
 
@@ -14,10 +15,8 @@ LEVEL_ATTRIBUTE = "terrain_level"  # attribute of faces: the level of the patch
 MATERIAL_KEY = "farfield_bdam_material"  # custom property of the material of a terrain: its shading
 ROUGHNESS = 0.95
 LEVEL_COLOR_STEP = 0.381966  # between two levels; multiples of the golden ratio are far from each other
-ROCK, GRASS, SNOW = (0.17, 0.14, 0.115), (0.075, 0.11, 0.03), (0.8, 0.83, 0.88)
-MAX_GRASS_NORMAL, MIN_ROCK_NORMAL = 0.85, 0.7  # z of the normal, between which grass becomes rock
-MIN_SNOW_NORMAL = 0.6  # steeper ground has no snow
-SNOW_HEIGHTS = 0.6, 0.72  # fractions of the height range, between which snow begins
+SNOW_HEIGHT = 0.66  # Fraction of the height range at which snow begins.
+BUMP_SIZE = 0.1  # Bump Size of the ground, relative to the distance between samples.
 MAP_COLORS = (  # colors by height: fraction of the height range and scene-linear color
     (0.0, (0.03, 0.13, 0.04)), (0.15, (0.13, 0.28, 0.07)), (0.35, (0.6, 0.55, 0.22)), (0.55, (0.42, 0.21, 0.07)),
     (0.75, (0.24, 0.13, 0.08)), (0.9, (0.55, 0.52, 0.5)), (1.0, (0.9, 0.9, 0.92)),
@@ -29,23 +28,25 @@ MAX_UNUSED = 64  # materials of texture tiles that are kept without users
 MAX_REMOVED = 8  # unused materials that are removed at a time
 
 
-def create_material(name: str, shading: str, root: bpy.types.Object, heights: tuple[float, float]) -> bpy.types.Material:
+def create_material(name: str, shading: str, root: bpy.types.Object, heights: tuple[float, float], cell_size: float) -> bpy.types.Material:
     """Create the material of a terrain below `root` for a shading other than "texture": "slope", "height" or "level".
 
-    heights: lowest and highest height above the root, with exaggeration.
+    heights: lowest and highest height above the root, with exaggeration. cell_size: distance between samples.
     """
     material, builder = create_node_material(name)
     material[MATERIAL_KEY] = shading
-    show_color(material, MAP_COLORS[1][1] if shading == "height" else GRASS)
+    show_color(material, MAP_COLORS[1][1] if shading == "height" else DEFAULTS["Grass"])
     if shading == "level":
-        color = _color_by_level(builder)
-    else:
-        position = builder.node("ShaderNodeTexCoord", {"object": root}).outputs["Object"]
-        span = max(heights[1] - heights[0], 1e-6)
-        fraction = builder.math("DIVIDE", builder.math("SUBTRACT", builder.separate(position)[2], heights[0]), span)
-        fraction.node.label = "Height"
-        color = _color_by_height(builder, fraction) if shading == "height" else _color_by_normal(builder, fraction)
-    _finish(builder, color, None)
+        _finish(builder, _color_by_level(builder), None)
+        return material
+    position, span = builder.node("ShaderNodeTexCoord", {"object": root}).outputs["Object"], max(heights[1] - heights[0], 1e-6)
+    if shading == "slope":
+        levels = {"Snow Height": heights[0] + SNOW_HEIGHT * span, "Sand Height": heights[0] - span}
+        add_ground(material, builder, position, {"Size": 0.5 * span, "Bump Size": BUMP_SIZE * cell_size, "Distant Bumps": 0.0, **levels})
+        return material
+    fraction = builder.math("DIVIDE", builder.math("SUBTRACT", builder.separate(position)[2], heights[0]), span)
+    fraction.node.label = "Height"
+    _finish(builder, _color_by_height(builder, fraction), None)
     return material
 
 
@@ -107,20 +108,6 @@ def _color_by_height(builder: NodeBuilder, fraction: bpy.types.NodeSocket) -> bp
         element.position, element.color = position, (*color, 1.0)
     builder.connect(fraction, node.inputs[0])
     return node.outputs[0]
-
-
-def _color_by_normal(builder: NodeBuilder, fraction: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
-    """Return rock, grass or snow by the normal and by the fraction of the height range."""
-    normal = builder.node("ShaderNodeNewGeometry").outputs["Normal"]
-    normal_z = builder.separate(builder.vector_transform(normal, "NORMAL", "WORLD", "OBJECT"))[2]
-    ground = builder.mix(_ramp(builder, normal_z, MIN_ROCK_NORMAL, MAX_GRASS_NORMAL), ROCK, GRASS)
-    is_high, is_flat = _ramp(builder, fraction, *SNOW_HEIGHTS), _ramp(builder, normal_z, MIN_SNOW_NORMAL, MIN_ROCK_NORMAL)
-    return builder.mix(builder.math("MULTIPLY", is_high, is_flat), ground, SNOW)
-
-
-def _ramp(builder: NodeBuilder, value: bpy.types.NodeSocket, start: float, end: float) -> bpy.types.NodeSocket:
-    """Return 0 below `start`, 1 above `end`, and a line between."""
-    return builder.math("MULTIPLY", builder.math("SUBTRACT", value, start), 1.0 / (end - start), clamp=True)
 
 
 class TextureMaterials:

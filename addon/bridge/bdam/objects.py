@@ -77,12 +77,12 @@ class SceneTerrain(TerrainRoot):
         """Return its objects by `tile_name`."""
         return {str(child[TILE_KEY]): child for child in self.root.children if TILE_KEY in child and child.type == "MESH"}
 
-    def ensure_material(self, shading: str, heights: tuple[float, float]) -> bpy.types.Material:
-        """Return its material for a shading; create it if there is none. heights: see `create_material`."""
+    def ensure_material(self, shading: str, engine: BdamEngine) -> bpy.types.Material:
+        """Return its material for a shading; create it if there is none."""
         key = f"{MATERIAL_NAMES}{shading}"
         material = bpy.data.materials.get((str(self.root.get(key, "")), None)) or self._shown_material(shading)
         if material is None or material.get(MATERIAL_KEY) != shading:
-            material = create_material(f"{self.name} {shading.title()}", shading, self.root, heights)
+            material = create_material(f"{self.name} {shading.title()}", shading, self.root, engine.heights, engine.store.header.cell_size)
         self.root[key] = material.name
         return material
 
@@ -196,10 +196,9 @@ class TerrainChange:
 
     def _find_materials(self, update: Update, shading: str) -> dict[TileKey, bpy.types.Material]:
         """Return the material of every tile; tiles without texture are shaded by slope."""
-        heights = self._engine.heights
         general = "slope" if shading == "texture" else shading
         by_number = {number: self._textures.find(number) for number in set(update.tiles.values()) if number is not None}
-        return {key: by_number.get(number) or self._terrain.ensure_material(general, heights) for key, number in update.tiles.items()}
+        return {key: by_number.get(number) or self._terrain.ensure_material(general, self._engine) for key, number in update.tiles.items()}
 
 
 def fill_tile_mesh(mesh: bpy.types.Mesh, source: TileMesh) -> Iterator[None]:

@@ -115,7 +115,7 @@ class FreezePathJob:
 
             def find_material(key: Key) -> bpy.types.Material | None:
                 material = None if key is None else materials.find(key)
-                return material or self.terrain.ensure_material(shading, core_result.heights)
+                return material or self.terrain.ensure_material(shading, core_result)
 
             self.object_names, message = create_objects(self.terrain, meshes, self.settings, find_material)
             remove_unused()
