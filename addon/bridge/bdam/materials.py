@@ -16,6 +16,7 @@ MATERIAL_KEY = "farfield_bdam_material"  # custom property of the material of a 
 ROUGHNESS = 0.95
 LEVEL_COLOR_STEP = 0.381966  # between two levels; multiples of the golden ratio are far from each other
 SNOW_HEIGHT = 0.66  # Fraction of the height range at which snow begins.
+ROCK_NORMAL = 0.8  # z of the normal below which the ground is rock.
 BUMP_SIZE = 0.1  # Bump Size of the ground, relative to the distance between samples.
 MAP_COLORS = (  # colors by height: fraction of the height range and scene-linear color
     (0.0, (0.03, 0.13, 0.04)), (0.15, (0.13, 0.28, 0.07)), (0.35, (0.6, 0.55, 0.22)), (0.55, (0.42, 0.21, 0.07)),
@@ -41,7 +42,7 @@ def create_material(name: str, shading: str, root: bpy.types.Object, heights: tu
         return material
     position, span = builder.node("ShaderNodeTexCoord", {"object": root}).outputs["Object"], max(heights[1] - heights[0], 1e-6)
     if shading == "slope":
-        levels = {"Snow Height": heights[0] + SNOW_HEIGHT * span, "Sand Height": heights[0] - span}
+        levels = {"Rock Slope": ROCK_NORMAL, "Snow Height": heights[0] + SNOW_HEIGHT * span, "Sand Height": heights[0] - span}
         add_ground(material, builder, position, {"Size": 0.5 * span, "Bump Size": BUMP_SIZE * cell_size, "Distant Bumps": 0.0, **levels})
         return material
     fraction = builder.math("DIVIDE", builder.math("SUBTRACT", builder.separate(position)[2], heights[0]), span)
