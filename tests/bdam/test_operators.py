@@ -97,7 +97,7 @@ def test_update_takes_the_settings_of_the_panel_and_the_current_view(folder, cam
     assert terrain.figures.triangles < far
 
 
-def test_a_triangle_budget_is_kept_and_the_message_and_the_panel_name_the_tolerance(folder, camera):
+def test_a_triangle_budget_is_kept_and_the_message_names_the_tolerance(folder, camera):
     terrain = load(folder, tolerance=0.1, triangle_budget=6000)
     assert terrain.figures.triangles <= 6000 and terrain.figures.tolerance > 0.1
     sentence = f"Triangle Budget 6,000 raises the tolerance to {terrain.figures.tolerance:.2f} pixels."
