@@ -287,7 +287,7 @@ def write_mesh(out: Path, extracted: ExtractedMesh) -> None:
 def write_scene(folder: Path, viewer: Viewer, tolerance: float, out: Path, line: command_line.ProgressLine) -> tuple[str, ...]:
     """Write a scene with the terrain as objects, with textures. Returns sentences about damaged parts, which are replaced or missing."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    settings = ViewSettings(tolerance=tolerance, culling=False)
+    settings = ViewSettings(tolerance=tolerance, triangle_budget=0, culling=False)
     engine = BdamEngine(folder, settings)
     job = ShowJob(engine, viewer, str(folder))
     run_to_end(run_job(job), line.show)

@@ -27,9 +27,12 @@ class FARFIELD_PT_bdam(TerrainPanel, bpy.types.Panel):
     terrain_type, start_button = SceneTerrain, (FARFIELD_OT_bdam_load, "Load", "FILE_FOLDER")
 
     def draw_terrain(self, terrain: SceneTerrain) -> None:
-        """Draw the path of the store, and the button that removes the terrain."""
+        """Draw the path of the store, the button that removes the terrain, and the tolerance if the triangle budget raised it."""
         self.layout.prop(terrain.root, "farfield_bdam_store_path")
         self.layout.operator(FARFIELD_OT_bdam_remove.bl_idname, text="Remove", icon="TRASH")
+        figures = terrain.figures
+        if figures is not None and figures.raising_budget:
+            draw_message(self.layout, figures.describe_budget(), "INFO")
 
 
 class BuildSettingsPanel(SettingsPanel):

@@ -217,6 +217,14 @@ def test_a_budget_is_respected_and_does_not_depend_on_the_past(folders, seed, bu
     assert fresh.figures.tolerance == update.figures.tolerance and fresh.figures.triangles == update.figures.triangles
 
 
+def test_the_default_budget_changes_nothing_below_it(folders):
+    viewer = look_at((0.0, 0.0, 200.0), (500.0, 0.0, 100.0))
+    for kind in ("plain", "texture"):
+        updates = [run_to_end(engine_of(folders, kind, tolerance=0.5, **values).move(viewer)) for values in ({}, {"triangle_budget": 0})]
+        assert updates[0].figures == updates[1].figures and updates[0].tiles == updates[1].tiles
+        assert updates[0].figures.describe_budget() == ""
+
+
 def test_what_a_viewport_does_not_show_is_coarse_and_a_render_has_all(folders):
     viewer = look_at((0.0, 0.0, 200.0), (500.0, 0.0, 100.0))
     figures = {}

@@ -97,8 +97,15 @@ def test_update_takes_the_settings_of_the_panel_and_the_current_view(folder, cam
     assert terrain.figures.triangles < far
 
 
-def test_a_triangle_budget_is_kept(folder, camera):
-    assert load(folder, tolerance=0.1, triangle_budget=6000).figures.triangles <= 6000
+def test_a_triangle_budget_is_kept_and_the_message_names_the_tolerance(folder, camera):
+    terrain = load(folder, tolerance=0.1, triangle_budget=6000)
+    assert terrain.figures.triangles <= 6000 and terrain.figures.tolerance > 0.1
+    sentence = f"Triangle Budget 6,000 raises the tolerance to {terrain.figures.tolerance:.2f} pixels."
+    assert sentence in read_result(bpy.context.scene, "bdam")
+    assert terrain.figures.describe_budget() == sentence
+    bpy.ops.farfield.bdam_update(tolerance=0.1, triangle_budget=0)
+    assert terrain.figures.triangles > 6000 and terrain.figures.describe_budget() == ""
+    assert not any("Triangle Budget" in sentence for sentence in read_result(bpy.context.scene, "bdam"))
 
 
 def test_undo_restores_what_was_shown(folder, camera):

@@ -68,7 +68,7 @@ class ViewSettings(Settings):
 
     tolerance: float = setting(1.0, "Largest error of the terrain in the image, in pixels", minimum=0.1, maximum=100.0)
     triangle_budget: int = setting(
-        0,
+        1_500_000,
         "Largest number of triangles; the tolerance is raised until the terrain has no more. 0 for no limit",
         minimum=0,
         maximum=100_000_000,

@@ -69,6 +69,7 @@ class ShowJob:
             pass
         cache.store(self.terrain, self.engine)
         message = f'"{self.terrain.name}": {core_result.figures.triangles:,} triangles in {core_result.figures.tiles} tiles.'
+        message = join_sentences([message, core_result.figures.describe_budget()])
         low, high = self.engine.bounds
         size = float(np.linalg.norm(high - low))
         if not is_new:

@@ -47,6 +47,7 @@ class Figures:
         tolerance: pixels, raised by a triangle budget.
         max_error: pixels.
         byte_count: bytes of patches and textures that the engine keeps in memory.
+        raising_budget: the triangle budget that raised the tolerance, 0 if none did.
     """
 
     triangles: int
@@ -55,6 +56,13 @@ class Figures:
     tolerance: float
     max_error: float
     byte_count: int
+    raising_budget: int = 0
+
+    def describe_budget(self) -> str:
+        """Return a sentence with the tolerance that the triangle budget has led to, empty if it has not raised it."""
+        if not self.raising_budget:
+            return ""
+        return f"Triangle Budget {self.raising_budget:,} raises the tolerance to {self.tolerance:.2f} pixels."
 
 
 @dataclass(frozen=True)
@@ -146,7 +154,8 @@ class BdamEngine:
         self._present = texture_cut, cut
         self._viewer, self._clearance, self._warnings = viewer, self._measure_clearance(cut, viewer), warnings
         byte_count = self._cache.byte_count + self._texture_files.byte_count
-        self.figures = Figures(self._count_triangles(cut), len(cut), len(tiles), tolerance, cut.max_error, byte_count)
+        raising_budget = self.settings.triangle_budget if tolerance > self.settings.tolerance else 0
+        self.figures = Figures(self._count_triangles(cut), len(cut), len(tiles), tolerance, cut.max_error, byte_count, raising_budget)
         of_tiles = [sentence for key in tiles for sentence in warnings.get(key, ())]
         sentences = tuple(dict.fromkeys([*self.store.damages, *of_tiles]))
         return Update({key: tile.texture for key, tile in tiles.items()}, is_complete, self.figures, sentences)
