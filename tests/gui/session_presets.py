@@ -47,7 +47,7 @@ def choose_by_name(user: UserInput) -> Iterator[float]:
     """Open the menu of the presets of terrains, and click the button "Canyon" in it. The menu stays open."""
     yield from open_menu(user, "clipbox")
     viewport = user.region("WINDOW")
-    x, y = viewport.x + viewport.width // 2, viewport.y + viewport.height // 2 - 193
+    x, y = viewport.x + viewport.width // 2, viewport.y + viewport.height // 2 - 172
     user.move(x, y)
     yield 1.0
     user.press("LEFTMOUSE", x, y)
