@@ -14,7 +14,7 @@ from farfield.addon.bridge.btf.export.octahedral_files import create_atlas_image
 from farfield.addon.bridge.distance.level_switch import TREE, GeometryBuilder, level_modifiers
 from farfield.addon.bridge.geometry.mesh_arrays import write_triangles, write_uvs
 from farfield.addon.bridge.geometry.meshes import read_source
-from farfield.addon.bridge.shading.node_builder import create_node_material
+from farfield.addon.bridge.shading.node_builder import create_group, create_node_material
 from farfield.addon.core.btf.octahedral import FrameGrid, OctahedralAtlas
 from farfield.addon.core.geometry.cameras import switch_distance
 from farfield.addon.core.jobs.progress import run_to_end
@@ -82,24 +82,18 @@ def _create_material(name: str, atlas: OctahedralAtlas) -> bpy.types.Material:
 def _show_frames(scatter: bpy.types.Object, tree: bpy.types.Object, atlas: OctahedralAtlas, frames: bpy.types.Collection) -> None:
     """Add a modifier that replaces far instances of `tree` in the geometry of `scatter` by the nearest of its frames."""
     scene = bpy.context.scene
-    group = bpy.data.node_groups.new(f"{tree.name} Impostor", TREE)
-    for direction in ("INPUT", "OUTPUT"):
-        group.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
+    geometry = (("Geometry", "Geometry"),)
+    group = create_group(f"{tree.name} Impostor", geometry, geometry, TREE)
     builder = GeometryBuilder(group)
     given, result = builder.node("NodeGroupInput").outputs[0], builder.node("NodeGroupOutput").inputs[0]
     camera = builder.call("GeometryNodeObjectInfo", {"Object": scene.camera}, {"transform_space": "RELATIVE"}).outputs["Location"]
-    matrix = builder.node("GeometryNodeInstanceTransform").outputs[0]
-    capture = builder.node("GeometryNodeCaptureAttribute", {"domain": "INSTANCE"})
-    capture.capture_items.new("MATRIX", "Transform")
-    builder.tree.links.new(given, capture.inputs[0])
-    builder.tree.links.new(matrix, capture.inputs["Transform"])
-    local = capture.outputs["Transform"]
+    captured, local = builder.capture_transforms(given)
     inverse = builder.call("FunctionNodeInvertMatrix", {0: local}).outputs[0]
     offset = builder.vector("SUBTRACT", builder.transform_point(camera, inverse), atlas.center.tolist())
     pixel = 2.0 * atlas.half_side / RESOLUTION
     distance = switch_distance(pixel, scene.camera.data.angle, scene.render.resolution_x)
     is_near = builder.less(builder.vector("LENGTH", offset), distance)
-    separated = builder.call("GeometryNodeSeparateGeometry", {0: capture.outputs[0], 1: is_near}, {"domain": "INSTANCE"})
+    separated = builder.call("GeometryNodeSeparateGeometry", {0: captured, 1: is_near}, {"domain": "INSTANCE"})
     points = builder.call("GeometryNodeInstancesToPoints", {0: separated.outputs[1]}).outputs[0]
     index = _nearest_frame(builder, offset)
     info = builder.call("GeometryNodeCollectionInfo", {0: frames, "Separate Children": True}).outputs[0]

@@ -9,13 +9,15 @@ from collections.abc import Iterable
 
 import bpy
 import mathutils
+import numpy as np
 
 from ..compat import enable_nodes
+from ..core.geometry.directions import from_spherical
 from ..core.sky import LIGHT_VALUES, Light, SkySettings
 from .shading.node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
 
 WORLD_NAME, SUN_NAME, HAZE_GROUP, HAZE_VERSION = "Farfield Sky", "Farfield Sun", "Farfield Haze", 1
-SHARED_SURFACE = "Farfield Terrain Ground"
+SHARED_SURFACE = "Farfield Terrain Ground"  # The group from color to surface of textured terrain.
 SKY_STRENGTH = 0.1  # From the radiance of Blender's sky to the strength of its Sun lights.
 HORIZON = 0.04  # Lowest z of the directions in which the sky is read.
 HAZE_HEIGHT = 0.12  # Height by which the density of air falls to 37 %, relative to the size of the terrain.
@@ -50,7 +52,7 @@ def add_sky(scene: bpy.types.Scene, settings: SkySettings) -> bpy.types.Object:
         sun = bpy.data.objects.new(SUN_NAME, bpy.data.lights.new(SUN_NAME, "SUN"))
         scene.collection.objects.link(sun)
     sun.data.energy, sun.data.angle, sun.data.color = light.strength, light.angle, light.color.tolist()
-    to_sun = _direction(light.elevation, settings.sun_direction)
+    to_sun = mathutils.Vector(from_spherical(0.5 * math.pi - np.array([light.elevation, settings.sun_direction])))
     sun.rotation_mode, sun.rotation_euler = "XYZ", to_sun.to_track_quat("Z", "Y").to_euler()
     return sun
 
@@ -61,36 +63,37 @@ def find_users_world(scene: bpy.types.Scene) -> bpy.types.World | None:
     return world if world is not None and (world.library is not None or not world.name.startswith(WORLD_NAME)) else None
 
 
-def find_haze_trees(materials: Iterable[bpy.types.Material]) -> list[bpy.types.NodeTree]:
-    """Return the node trees of materials to add haze to: the group from color to surface where the materials of a terrain share one."""
-    found = {}
-    for material in materials:
-        tree = material.node_tree
-        for node in tree.nodes if tree is not None else ():
-            if node.type == "GROUP" and node.node_tree is not None and node.node_tree.name.startswith(SHARED_SURFACE):
-                tree = node.node_tree
-        if tree is not None and tree.library is None:
-            found[tree] = None
-    return list(found)
-
-
-def add_haze(tree: bpy.types.NodeTree, settings: SkySettings, size: float, base_height: float) -> None:
-    """Put haze before the output of a material's node tree, or of a node group whose output is a shader.
+def add_haze(materials: Iterable[bpy.types.Material], settings: SkySettings, size: float, base_height: float) -> None:
+    """Put haze before the output of materials, or of the group from color to surface that the materials of a terrain share.
 
     size: of the terrain, scene units; its farthest ground is half as far away. base_height: of dense air, z in world space.
     """
     group = _ensure_haze_group(settings)
-    node = next((item for item in tree.nodes if item.type == "GROUP" and item.node_tree == group), None)
-    if node is None:
-        builder = NodeBuilder(tree)
-        node = builder.node("ShaderNodeGroup", {"node_tree": group, "width": 160.0})
-        for target in _find_outputs(tree):
-            if target.is_linked:
-                builder.connect(target.links[0].from_socket, node.inputs["Shader"])
-                builder.connect(node.outputs["Shader"], target)
-        builder.arrange()
-    node.inputs["Distance"].default_value = 0.5 * size / -math.log(1.0 - settings.haze) if settings.haze else 1e12
-    node.inputs["Height"].default_value, node.inputs["Base Height"].default_value = HAZE_HEIGHT * size, base_height
+    for tree in dict.fromkeys(filter(None, map(_find_surface, materials))):
+        node = next((item for item in tree.nodes if item.type == "GROUP" and item.node_tree == group), None) or _insert(tree, group)
+        node.inputs["Distance"].default_value = 0.5 * size / -math.log(1.0 - settings.haze) if settings.haze else 1e12
+        node.inputs["Height"].default_value, node.inputs["Base Height"].default_value = HAZE_HEIGHT * size, base_height
+
+
+def _find_surface(material: bpy.types.Material) -> bpy.types.NodeTree | None:
+    """Return the node tree with the surface of a material: its own or a shared one, None if that cannot be changed."""
+    tree = material.node_tree
+    for node in tree.nodes if tree is not None else ():
+        if node.type == "GROUP" and node.node_tree is not None and node.node_tree.name.startswith(SHARED_SURFACE):
+            tree = node.node_tree
+    return tree if tree is not None and tree.library is None else None
+
+
+def _insert(tree: bpy.types.NodeTree, group: bpy.types.NodeTree) -> bpy.types.Node:
+    """Put a group node between the surface of a tree and its outputs."""
+    builder = NodeBuilder(tree)
+    node = builder.node("ShaderNodeGroup", {"node_tree": group, "width": 160.0})
+    for target in _find_outputs(tree):
+        if target.is_linked:
+            builder.connect(target.links[0].from_socket, node.inputs["Shader"])
+            builder.connect(node.outputs["Shader"], target)
+    builder.arrange()
+    return node
 
 
 def _find_outputs(tree: bpy.types.NodeTree) -> list[bpy.types.NodeSocket]:
@@ -102,11 +105,6 @@ def _find_outputs(tree: bpy.types.NodeTree) -> list[bpy.types.NodeSocket]:
         elif node.type == "GROUP_OUTPUT":
             found += [socket for socket in node.inputs if socket.type == "SHADER"]
     return found
-
-
-def _direction(elevation: float, azimuth: float) -> mathutils.Vector:
-    """Return the unit vector of a direction above the horizon, clockwise from the Y axis."""
-    return mathutils.Vector((math.cos(elevation) * math.sin(azimuth), math.cos(elevation) * math.cos(azimuth), math.sin(elevation)))
 
 
 def _add_sky_texture(builder: NodeBuilder, light: Light, azimuth: float) -> bpy.types.Node:
@@ -150,10 +148,10 @@ def _fill_haze_group(builder: NodeBuilder) -> None:
     climb = builder.math("MULTIPLY", distance, backward[2])
     lowest = builder.math("MAXIMUM", builder.math("MINIMUM", height, builder.math("ADD", height, climb)), 0.0)
     change = builder.math("DIVIDE", builder.math("ABSOLUTE", climb), inputs["Height"])
-    density = _falloff(builder, builder.math("DIVIDE", lowest, inputs["Height"]))
+    density = builder.attenuate(builder.math("DIVIDE", lowest, inputs["Height"]))
     depth = builder.math("MULTIPLY", density, _mean_falloff(builder, change))
     depth = builder.math("MULTIPLY", depth, builder.math("DIVIDE", distance, inputs["Distance"]))
-    passed = _falloff(builder, depth)
+    passed = builder.attenuate(depth)
     is_camera = builder.node("ShaderNodeLightPath").outputs["Is Camera Ray"]
     haze = builder.math("MULTIPLY", builder.math("SUBTRACT", 1.0, passed), is_camera)
     mix, emission = builder.node("ShaderNodeMixShader"), builder.node("ShaderNodeEmission")
@@ -168,12 +166,7 @@ def _above_horizon(builder: NodeBuilder, x: SocketOrValue, y: SocketOrValue, z: 
     return builder.combine(x, y, builder.math("MAXIMUM", z, HORIZON))
 
 
-def _falloff(builder: NodeBuilder, fraction: SocketOrValue) -> bpy.types.NodeSocket:
-    """Return exp(-fraction)."""
-    return builder.math("EXPONENT", builder.math("MULTIPLY", fraction, -1.0))
-
-
 def _mean_falloff(builder: NodeBuilder, change: SocketOrValue) -> bpy.types.NodeSocket:
     """Return the mean of exp(-t) for t from 0 to a positive `change`: (1 - exp(-change)) / change."""
     safe = builder.math("MAXIMUM", change, 1e-3)
-    return builder.math("DIVIDE", builder.math("SUBTRACT", 1.0, _falloff(builder, safe)), safe)
+    return builder.math("DIVIDE", builder.math("SUBTRACT", 1.0, builder.attenuate(safe)), safe)

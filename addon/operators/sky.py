@@ -1,11 +1,12 @@
 """The operator *Add Sky and Haze*, for the landscapes of both terrain tools."""
 
 import bpy
-import mathutils
 import numpy as np
 
 from ..bridge import sky
+from ..bridge.objects import world_matrix
 from ..bridge.terrain_roots import TerrainRoot
+from ..core.geometry.transforms import transform_points
 from ..core.sky import SkySettings
 from . import follow_tools, properties
 from .error_reports import report_message, reports_errors
@@ -40,10 +41,10 @@ def add_haze(terrain: TerrainRoot, settings: SkySettings) -> None:
     ground = terrain.ground_objects()
     if not ground:
         return
-    corners = np.array([item.matrix_world @ point for item in ground for point in map(mathutils.Vector, item.bound_box)])
+    corners = np.concatenate([transform_points(world_matrix(item), item.bound_box) for item in ground])
     low, high = corners.min(axis=0), corners.max(axis=0)
-    for tree in sky.find_haze_trees({material for item in ground for material in item.data.materials if material is not None}):
-        sky.add_haze(tree, settings, float((high - low)[:2].max()), float(low[2]))
+    materials = [material for item in ground for material in item.data.materials if material is not None]
+    sky.add_haze(materials, settings, float((high - low)[:2].max()), float(low[2]))
 
 
 register, unregister = bpy.utils.register_classes_factory((FARFIELD_OT_add_sky,))

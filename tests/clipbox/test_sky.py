@@ -25,9 +25,10 @@ def hazy_wall(distance, haze, height):
     scene = bpy.context.scene
     settings = SkySettings(haze=haze, sun_direction=0.0)
     material, builder = create_node_material("Wall")
-    builder.connect(builder.node("ShaderNodeEmission", {}).outputs[0], builder.node("ShaderNodeOutputMaterial").inputs["Surface"])
-    next(node for node in material.node_tree.nodes if node.type == "EMISSION").inputs["Strength"].default_value = 0.0
-    sky.add_haze(material.node_tree, settings, SIZE, 0.0)
+    emission = builder.node("ShaderNodeEmission")
+    emission.inputs["Strength"].default_value = 0.0
+    builder.connect(emission.outputs[0], builder.node("ShaderNodeOutputMaterial").inputs["Surface"])
+    sky.add_haze([material], settings, SIZE, 0.0)
     mesh = bpy.data.meshes.new("Wall")
     corners = [(-1e5, distance, -1e5), (1e5, distance, -1e5), (1e5, distance, 1e5), (-1e5, distance, 1e5)]
     mesh.from_pydata(corners, [], [(0, 1, 2, 3)])
@@ -88,7 +89,7 @@ def test_haze_is_added_once():
     material, builder = create_node_material("Ground")
     builder.connect(builder.node("ShaderNodeBsdfPrincipled").outputs[0], builder.node("ShaderNodeOutputMaterial").inputs["Surface"])
     for haze in (0.2, 0.0):
-        sky.add_haze(material.node_tree, SkySettings(haze=haze), SIZE, 3.0)
+        sky.add_haze([material], SkySettings(haze=haze), SIZE, 3.0)
     groups = [node for node in material.node_tree.nodes if node.type == "GROUP"]
     assert len(groups) == 1 and groups[0].inputs["Base Height"].default_value == 3.0
     assert groups[0].inputs["Distance"].default_value > 1e9

@@ -9,8 +9,9 @@ from ...core.bdam.textures.tile_blocks import CodedTile
 from ..shading.ground import DEFAULTS, add_ground
 from ..shading.node_builder import NodeBuilder, create_node_material, ensure_shared_group
 from ..shading.solid_view import show_color, show_image
+from ..sky import SHARED_SURFACE
 
-GROUND_GROUP, GROUND_VERSION = "Farfield Terrain Ground", 1
+GROUND_VERSION = 1
 LEVEL_ATTRIBUTE = "terrain_level"  # attribute of faces: the level of the patch
 MATERIAL_KEY = "farfield_bdam_material"  # custom property of the material of a terrain: its shading
 ROUGHNESS = 0.95
@@ -77,7 +78,7 @@ def _finish(builder: NodeBuilder, color: bpy.types.NodeSocket, opacity: bpy.type
 def _ensure_ground_group() -> bpy.types.NodeTree:
     """Return the group from color to surface that all materials of terrains share."""
     inputs = (("Color", "Color"), ("Alpha", "Float"), ("Roughness", "Float"))
-    return ensure_shared_group(GROUND_GROUP, GROUND_VERSION, inputs, (("Shader", "Shader"),), _fill_ground_group)
+    return ensure_shared_group(SHARED_SURFACE, GROUND_VERSION, inputs, (("Shader", "Shader"),), _fill_ground_group)
 
 
 def _fill_ground_group(builder: NodeBuilder) -> None:

@@ -143,7 +143,7 @@ def show_water(terrain: SceneTerrain, settings: ClipboxSettings) -> None:
     origin, water, height = terrain.origin, terrain.water, None
     if settings.water:
         height = settings.water_level - float(origin[2])
-        half = 0.5 * WATER_SIZE * settings.voxel_size * settings.resolution * 2 ** (settings.boxes - 1)
+        half = 0.5 * WATER_SIZE * settings.extent
         corners = np.array([[-half, -half, height], [half, -half, height], [half, half, height], [-half, half, height]])
         mesh = water.data if water is not None else bpy.data.meshes.new(f"{terrain.name} Water")
         mesh.clear_geometry()

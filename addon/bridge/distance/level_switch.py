@@ -63,6 +63,14 @@ class GeometryBuilder(NodeBuilder):
         """Transform a point by a matrix."""
         return self.call("FunctionNodeTransformPoint", {0: point, 1: matrix}).outputs[0]
 
+    def capture_transforms(self, geometry: bpy.types.NodeSocket) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]:
+        """Return instances with their matrices, which points made of them keep, and these matrices."""
+        node = self.node("GeometryNodeCaptureAttribute", {"domain": "INSTANCE"})
+        node.capture_items.new("MATRIX", "Transform")
+        self.tree.links.new(geometry, node.inputs[0])
+        self.tree.links.new(self.node("GeometryNodeInstanceTransform").outputs[0], node.inputs["Transform"])
+        return node.outputs[0], node.outputs["Transform"]
+
 
 class Places(Enum):
     """Where an asset is: OBJECT where the modified object is, which it replaces; MATCHING at those instances in its geometry whose bounding
@@ -124,8 +132,7 @@ def _fill(builder: GeometryBuilder, count: int, places: Places) -> None:
             is_asset = _has_bounds(builder, given)
             separated = builder.call("GeometryNodeSeparateGeometry", {0: geometry, 1: is_asset}, {"domain": "INSTANCE"})
             geometry, rest = separated.outputs
-        matrix = builder.node("GeometryNodeInstanceTransform").outputs[0]
-        captured, local = _capture(builder, geometry, matrix)
+        captured, local = builder.capture_transforms(geometry)
         points = builder.call("GeometryNodeInstancesToPoints", {0: captured}).outputs[0]
         to_world = builder.call("FunctionNodeMatrixMultiply", {0: to_world, 1: local}).outputs[0]
     pixel, shift, conditions = _choose(builder, given, view, to_world, count)
@@ -159,17 +166,6 @@ def _instance(
     level = builder.call("GeometryNodeCollectionInfo", {0: collection}).outputs[0]
     part = builder.call("GeometryNodeInstanceOnPoints", {0: points, 1: selection, 2: level}).outputs[0]
     return part if local is None else builder.call("GeometryNodeSetInstanceTransform", {0: part, 2: local}).outputs[0]
-
-
-def _capture(
-    builder: GeometryBuilder, geometry: bpy.types.NodeSocket, matrix: bpy.types.NodeSocket
-) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]:
-    """Return the instances with a matrix that their points keep, and that matrix."""
-    node = builder.node("GeometryNodeCaptureAttribute", {"domain": "INSTANCE"})
-    node.capture_items.new("MATRIX", "Transform")
-    builder.tree.links.new(geometry, node.inputs[0])
-    builder.tree.links.new(matrix, node.inputs["Transform"])
-    return node.outputs[0], node.outputs["Transform"]
 
 
 def _flatten(builder: GeometryBuilder, geometry: bpy.types.NodeSocket) -> bpy.types.NodeSocket:

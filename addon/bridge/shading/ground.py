@@ -46,7 +46,7 @@ SOFT_BUMPS = 0.3  # Height of bumps on soil and snow, relative to those on rock.
 # Joints of rock: ridges of noise, longer upwards than across.
 JOINTS, JOINT_ASPECT, JOINT_COLOR = Bumps(36.0, 7.0, 7.0, 0.0, 9000.0, 0.0), 0.35, 0.55
 BREAKUP = 0.35  # How much bumps move the borders between layers, relative to the variation by noise.
-STRATA_WARP = 0.35  # How far layers of rock are bent, relative to the size of the noise.
+STRATA_WARP = 0.35  # How far noise warps layers of rock, relative to the size of the noise.
 WET_COLOR, WET_ROUGHNESS = 0.45, 0.35  # Of wet ground, relative to dry ground.
 INPUTS = (
     ("Position", "Vector"), ("Rock", "Color"), ("Strata", "Color"), ("Scree", "Color"), ("Grass", "Color"), ("Undergrowth", "Color"),
@@ -86,8 +86,8 @@ DEFAULTS = {
 
 def add_ground(
     material: bpy.types.Material, builder: NodeBuilder, position: bpy.types.NodeSocket, values: Mapping[str, SocketOrValue]
-) -> bpy.types.Node:
-    """Add the ground at a `position` relative to the terrain to a new material. Returns the group node.
+) -> None:
+    """Add the ground at a `position` relative to the terrain to a new material.
 
     values: of its inputs, other than `DEFAULTS`.
     """
@@ -102,7 +102,6 @@ def add_ground(
     builder.connect(group.outputs["Normal"], principled.inputs["Normal"])
     builder.connect(principled.outputs[0], builder.node("ShaderNodeOutputMaterial").inputs["Surface"])
     builder.arrange()
-    return group
 
 
 def _ensure_ground_group() -> bpy.types.NodeTree:
@@ -119,7 +118,9 @@ def _fill_ground_group(builder: NodeBuilder) -> None:
     normal = builder.node("ShaderNodeNewGeometry").outputs["Normal"]
     normal_z = builder.separate(builder.vector_transform(normal, "NORMAL", "WORLD", "OBJECT"))[2]
     position_z = builder.separate(inputs["Position"])[2]
-    bumps = _build_bumps(builder, inputs)
+    view_distance = builder.node("ShaderNodeCameraData").outputs["View Distance"]
+    distance = builder.math("DIVIDE", view_distance, inputs["Bump Size"])
+    bumps = _build_bumps(builder, inputs, distance)
     uneven = builder.math("ADD", builder.math("MULTIPLY", bumps.pattern, BREAKUP), noise)
     height_noise = builder.math("MULTIPLY", uneven, builder.math("MULTIPLY", inputs["Size"], inputs["Height Noise"]))
     height = builder.math("ADD", position_z, height_noise)
@@ -138,7 +139,7 @@ def _fill_ground_group(builder: NodeBuilder) -> None:
     color = builder.mix(is_soil, _build_rock(builder, inputs, position_z, noise), ground)
     noise_factor = builder.math("ADD", builder.math("MULTIPLY", noise, inputs["Color Noise"]), 1.0)
     brightness = builder.math("MULTIPLY", noise_factor, bumps.brightness)
-    joints = builder.math("MULTIPLY", _build_joints(builder, inputs), builder.math("SUBTRACT", 1.0, is_soil))
+    joints = builder.math("MULTIPLY", _build_joints(builder, inputs, distance), builder.math("SUBTRACT", 1.0, is_soil))
     brightness = builder.math("MULTIPLY", brightness, builder.math("SUBTRACT", 1.0, builder.math("MULTIPLY", joints, JOINT_COLOR)))
     shore = builder.math("ADD", inputs["Water Height"], builder.math("MULTIPLY", inputs["Bump Size"], 2.0))
     is_dry = _ramp(
@@ -147,7 +148,7 @@ def _fill_ground_group(builder: NodeBuilder) -> None:
     brightness = builder.math("MULTIPLY", brightness, _between(builder, is_dry, WET_COLOR))
     output = builder.node("NodeGroupOutput")
     depth = builder.math("MAXIMUM", builder.math("SUBTRACT", inputs["Water Height"], position_z), 0.0)
-    passed = builder.math("EXPONENT", builder.math("MULTIPLY", builder.math("DIVIDE", depth, inputs["Clarity"]), -1.0))
+    passed = builder.attenuate(builder.math("DIVIDE", depth, inputs["Clarity"]))
     builder.connect(builder.mix(passed, inputs["Water"], builder.vector("SCALE", color, brightness)), output.inputs["Color"])
     roughness = builder.math("MULTIPLY", inputs["Roughness"], _between(builder, is_dry, WET_ROUGHNESS))
     builder.connect(roughness, output.inputs["Roughness"])
@@ -171,24 +172,22 @@ def add_noise(builder: NodeBuilder, position: bpy.types.NodeSocket, scale: Socke
 def _build_rock(
     builder: NodeBuilder, inputs: bpy.types.bpy_prop_collection, position_z: bpy.types.NodeSocket, noise: bpy.types.NodeSocket
 ) -> bpy.types.NodeSocket:
-    """Return the color of rock with its layers, which noise bends."""
+    """Return the color of rock with its layers, which noise warps."""
     scale = builder.math("DIVIDE", inputs["Strata Scale"], inputs["Size"])
     layers = builder.node("ShaderNodeTexNoise", {"noise_dimensions": "1D"})
-    bent = builder.math("MULTIPLY", noise, builder.math("DIVIDE", inputs["Size"], inputs["Noise Scale"]))
-    bent = builder.math("ADD", position_z, builder.math("MULTIPLY", bent, STRATA_WARP))
-    builder.connect(builder.math("MULTIPLY", bent, scale), layers.inputs["W"])
+    warped = builder.math("MULTIPLY", noise, builder.math("DIVIDE", inputs["Size"], inputs["Noise Scale"]))
+    warped = builder.math("ADD", position_z, builder.math("MULTIPLY", warped, STRATA_WARP))
+    builder.connect(builder.math("MULTIPLY", warped, scale), layers.inputs["W"])
     layers.inputs["Scale"].default_value, layers.inputs["Detail"].default_value = 1.0, 4.0
     return builder.mix(_ramp(builder, layers.outputs[0], 0.5, 0.15), inputs["Rock"], inputs["Strata"])
 
 
-def _build_joints(builder: NodeBuilder, inputs: bpy.types.bpy_prop_collection) -> bpy.types.NodeSocket:
-    """Return how far the position is in a joint of rock, from 0 to 1."""
-    view_distance = builder.node("ShaderNodeCameraData").outputs["View Distance"]
-    distance = builder.math("DIVIDE", view_distance, inputs["Bump Size"])
+def _build_joints(builder: NodeBuilder, inputs: bpy.types.bpy_prop_collection, distance: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+    """Return how far the position is in a joint of rock, from 0 to 1. distance: to the viewer, relative to Bump Size."""
     stretched = builder.vector("MULTIPLY", inputs["Position"], (1.0, 1.0, JOINT_ASPECT))
-    noise = add_noise(builder, stretched, builder.math("DIVIDE", 1.0 / JOINTS.wavelength, inputs["Bump Size"]), JOINTS.octaves)
+    noise = _bump_noise(builder, inputs, stretched, JOINTS)
     ridge = builder.math("SUBTRACT", 1.0, builder.math("MULTIPLY", builder.math("ABSOLUTE", noise), 5.0), True)
-    return builder.math("MULTIPLY", ridge, builder.math("SUBTRACT", 1.0, builder.math("DIVIDE", distance, JOINTS.farthest), True))
+    return builder.math("MULTIPLY", ridge, _fade(builder, distance, JOINTS))
 
 
 @dataclass(frozen=True)
@@ -206,22 +205,31 @@ class BumpSockets:
     brightness: bpy.types.NodeSocket
 
 
-def _build_bumps(builder: NodeBuilder, inputs: bpy.types.bpy_prop_collection) -> BumpSockets:
-    """Return the bumps at the position."""
-    view_distance = builder.node("ShaderNodeCameraData").outputs["View Distance"]
-    distance = builder.math("DIVIDE", view_distance, inputs["Bump Size"])
+def _build_bumps(builder: NodeBuilder, inputs: bpy.types.bpy_prop_collection, distance: bpy.types.NodeSocket) -> BumpSockets:
+    """Return the bumps at the position. distance: to the viewer, relative to Bump Size."""
     height, pattern, brightness = 0.0, 0.0, 1.0
     for bumps in BUMPS:
-        scale = builder.math("DIVIDE", 1.0 / bumps.wavelength, inputs["Bump Size"])
-        seen = builder.math("SUBTRACT", 1.0, builder.math("DIVIDE", distance, bumps.farthest), True)
+        seen = _fade(builder, distance, bumps)
         if bumps.nearest:
             seen = builder.math("MULTIPLY", seen, builder.math("DIVIDE", distance, bumps.nearest, True))
             seen = builder.math("MULTIPLY", seen, inputs["Distant Bumps"])
-        bump = builder.math("MULTIPLY", add_noise(builder, inputs["Position"], scale, bumps.octaves), seen)
+        bump = builder.math("MULTIPLY", _bump_noise(builder, inputs, inputs["Position"], bumps), seen)
         height = builder.math("ADD", builder.math("MULTIPLY", bump, builder.math("MULTIPLY", inputs["Bump Size"], bumps.height)), height)
         pattern = builder.math("ADD", bump, pattern)
         brightness = builder.math("ADD", builder.math("MULTIPLY", bump, bumps.contrast), brightness)
     return BumpSockets(height, pattern, brightness)
+
+
+def _bump_noise(
+    builder: NodeBuilder, inputs: bpy.types.bpy_prop_collection, position: bpy.types.NodeSocket, bumps: Bumps
+) -> bpy.types.NodeSocket:
+    """Return the noise of bumps, with a mean of 0."""
+    return add_noise(builder, position, builder.math("DIVIDE", 1.0 / bumps.wavelength, inputs["Bump Size"]), bumps.octaves)
+
+
+def _fade(builder: NodeBuilder, distance: bpy.types.NodeSocket, bumps: Bumps) -> bpy.types.NodeSocket:
+    """Return a number that falls from 1 at the viewer to 0 where bumps would be finer than pixels."""
+    return builder.math("SUBTRACT", 1.0, builder.math("DIVIDE", distance, bumps.farthest), True)
 
 
 def _between(builder: NodeBuilder, fraction: bpy.types.NodeSocket, low: float) -> bpy.types.NodeSocket:

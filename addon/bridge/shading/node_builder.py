@@ -80,6 +80,10 @@ class NodeBuilder:
         self.connect(vector, node.inputs[0])
         return list(node.outputs)
 
+    def attenuate(self, depth: SocketOrValue) -> bpy.types.NodeSocket:
+        """Return exp(-depth), the fraction of light that passes an optical depth."""
+        return self.math("EXPONENT", self.math("MULTIPLY", depth, -1.0))
+
     def add_scaled(self, total: SocketOrValue, factor: SocketOrValue, color: SocketOrValue) -> bpy.types.NodeSocket:
         """Return total + factor * color of two colors, for any factor."""
         properties = {"data_type": "RGBA", "blend_type": "ADD", "clamp_factor": False, "clamp_result": False}

@@ -113,6 +113,11 @@ class ClipboxSettings(Settings):
     )
 
     @property
+    def extent(self) -> float:
+        """Side of the outermost box, scene units."""
+        return self.voxel_size * self.resolution * 2 ** (self.boxes - 1)
+
+    @property
     def content_size(self) -> float:
         """Length of the longest side of what is in the source, before `scale`; for a forest, of its largest copy."""
         return self.plant_size if self.terrain == "forest" else self.source_size

@@ -81,8 +81,7 @@ class TerrainJob:
         self.update = core_result
         triangles = sum(len(mesh.triangles) for mesh in core_result.meshes.values())
         summary = f'"{self.terrain.name}": {format_count(triangles, "triangle")} in {format_count(settings.boxes, "box")}.'
-        size = settings.voxel_size * settings.resolution * 2 ** (settings.boxes - 1)
-        hints = [] if is_rebuilt else [describe_camera_range(bpy.context.scene, size), describe_solid_view()]
+        hints = [] if is_rebuilt else [describe_camera_range(bpy.context.scene, settings.extent), describe_solid_view()]
         kept = [f"It is in addition to {quote_names(terrain.name for terrain in others)}, which Update changes."] if others else []
         return join_sentences([summary, *kept, *self.engine.warnings, *hints])
 

@@ -88,7 +88,7 @@ def frame_terrain(space: bpy.types.SpaceView3D, job: TerrainJob) -> np.ndarray:
     """Let a 3D Viewport show a new terrain: look down from its position, or from above if that is in the ground. A view through the camera
     only gets a larger clipping range. Returns the position (3,) of the viewer."""
     settings, region = job.settings, space.region_3d
-    extend_clipping(space, settings.voxel_size * settings.resolution * 2 ** (settings.boxes - 1))
+    extend_clipping(space, settings.extent)
     if region.view_perspective == "CAMERA":
         return job.viewer
     position = job.engine.find_clearing(job.viewer)

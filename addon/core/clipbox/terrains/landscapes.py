@@ -82,9 +82,10 @@ def coast(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights
     """Return land that falls to the sea in cliffs or beaches, with stacks of rock before the cliffs. The sea is at 0."""
     land = warp(lambda x, y: sum_octaves(x, y, spacing, 3_000.0, 5, shape.seed, 0.4), x, y, spacing, 700.0, 80.0, shape.seed + WARPS)
     inland = sum_octaves(x, y, spacing, 1_400.0, 4, shape.seed + MORE, 0.45).scale(22.0)
-    cliffs = _rise(land, -0.01, 0.012).scale(46.0).add(_rise(land, 0.3, 0.3), 70.0).add(_rise(land, -0.16, 0.16), 30.0)
+    rise = _rise(land, 0.3, 0.3).scale(70.0).add(_rise(land, -0.16, 0.16), 30.0)
+    cliffs = rise.add(_rise(land, -0.01, 0.012), 46.0)
     cliffs = cliffs.multiply(inland.map(1.0 + inland.height / np.float32(60.0), np.float32(1.0 / 60.0)))
-    beaches = _rise(land, 0.05, 0.16).scale(48.0).add(_rise(land, 0.3, 0.3), 70.0).add(_rise(land, -0.16, 0.16), 30.0)
+    beaches = rise.add(_rise(land, 0.05, 0.16), 48.0)
     kinds = sum_octaves(x, y, spacing, 1_100.0, 2, shape.seed + MORE + 8)
     ground = beaches.add(cliffs.add(beaches, -1.0).multiply(_rise(kinds, -0.1, 0.14)))
     ground = ground.map((ground.height - np.float32(39.0)) * np.float32(shape.ruggedness), np.float32(shape.ruggedness))
