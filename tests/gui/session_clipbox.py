@@ -42,8 +42,6 @@ def session() -> Iterator[float]:
     yield 0.5
     results["cancelled"] = {"after": scene_state(), "terrains": terrain_names()}
 
-    settings.resolution = 96
-    bpy.ops.ed.undo_push(message="Reduce Resolution")
     yield from user.press_and_start(BUTTON)
     results["fractions"] = yield from wait_for_job()
     yield 4.0

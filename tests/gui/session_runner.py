@@ -31,6 +31,12 @@ def run_gui_session(name: str, tmp_path_factory, size: tuple[int, int] = WINDOW_
     return json.loads(results.read_text(encoding="utf-8"))
 
 
+def assert_progress(fractions: list[float]) -> None:
+    """Assert that the progress bar moved, and never back; how often a job was seen on the way depends on the machine."""
+    assert fractions == sorted(fractions), fractions
+    assert 0.0 <= fractions[0] < fractions[-1] <= 1.0, fractions
+
+
 def _run(name: str, tmp_path_factory, size: tuple[int, int]) -> tuple[Path, subprocess.CompletedProcess]:
     """Return the path of the results, which exists if the session reached its end, and the finished process."""
     find_launcher()

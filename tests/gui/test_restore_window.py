@@ -2,7 +2,7 @@
 
 import pytest
 
-from gui.session_runner import run_gui_session
+from gui.session_runner import assert_progress, run_gui_session
 
 pytestmark = pytest.mark.gui
 NAME = "Mauer ü"
@@ -45,7 +45,7 @@ def test_esc_leaves_the_file_unchanged(results):
 
 
 def test_the_progress_increases_and_the_result_is_shown_and_used(results):
-    assert results["fractions"] == sorted(results["fractions"]) and len(set(results["fractions"])) > 3
+    assert_progress(results["fractions"])
     assert results["shown"] == results["used"] == f"{NAME} restored"
 
 
