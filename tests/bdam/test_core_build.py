@@ -142,7 +142,7 @@ def test_the_report_describes_the_store(built):
         assert report.origin == tuple(store.header.origin) and report.crs == store.header.crs
     assert report.bytes == sum(map(len, files.values())) and (report.rows, report.columns) == (SIZE, SIZE)
     assert report.holes == np.isnan(heights_of()).sum()
-    assert {"heights", "textures", "patches", "store"} == report.seconds.keys()
+    assert {"heights", "textures", "normals", "patches", "store"} == report.seconds.keys()
     assert any("has no position" in warning for warning in report.warnings) and image.exists()
 
 
@@ -161,7 +161,9 @@ def test_every_sample_of_the_source_is_in_the_finest_level(built):
     assert seen.all()
 
 
-@pytest.mark.parametrize(("version", "message"), [(structure.VERSION - 1, "older Farfield"), (structure.VERSION + 1, "newer Farfield")])
+@pytest.mark.parametrize(
+    ("version", "message"), [(structure.OLDEST_VERSION - 1, "older Farfield"), (structure.VERSION + 1, "newer Farfield")]
+)
 def test_stores_of_other_versions_are_refused(built, tmp_path, monkeypatch, version, message):
     folder, _, _, _, _ = built
     shutil.copytree(folder / "store", tmp_path / "store")

@@ -13,6 +13,7 @@ from .caches import PatchCache
 from .cut_meshes import CutMesh, PatchMesh, merge_patches, remove_unused
 from .extraction import Cut, CutSettings, extract_cut
 from .texture_cuts import TextureSelector
+from .tile_maps import StoreMaps
 from .tiles import MAX_TILES, TileGrouping
 
 PROGRESS_PATCHES = 64  # between two steps
@@ -44,7 +45,7 @@ def extract_mesh(store: TerrainStore, viewer: Viewer, settings: CutSettings) -> 
         FileError: no patch can be read.
     """
     yield Progress(0.0, "Choosing patches")
-    selector, cache = TextureSelector(store), PatchCache(store, max_bytes=0)
+    selector, cache = TextureSelector(store, StoreMaps(store, has_color=True)), PatchCache(store, max_bytes=0)
     for _ in store.attempts():
         texture_cut = selector.choose(viewer, settings, MAX_TILES)
         cut = extract_cut(store, viewer, settings, selector.is_forced(texture_cut))
