@@ -1,0 +1,1 @@
+"""What grows and lies on landscapes: plants and rocks, and where."""
