@@ -42,7 +42,7 @@ from farfield.addon.core.files.file_access import folder_bytes
 from farfield.addon.core.files.scratch import Scratch
 from farfield.addon.core.geometry.viewers import Projection, Viewer, camera_window, look_at
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
-from farfield.addon.core.messages import list_first
+from farfield.addon.core.messages import join_sentences, list_first
 from farfield.addon.core.settings import add_flags
 from farfield.addon.operators.bdam.job import ShowJob
 from farfield.addon.operators.job_run import run_job
@@ -127,6 +127,8 @@ def build(given: Namespace, line: command_line.ProgressLine) -> str:
         "rows": report.rows,
         "columns": report.columns,
         "holes": report.holes,
+        "voids_filled": report.voids.filled,
+        "voids_left": report.voids.left,
         "triangles": report.triangles,
         "patches": report.patches,
         "tiles": report.tiles,
@@ -139,7 +141,7 @@ def build(given: Namespace, line: command_line.ProgressLine) -> str:
     summary = (
         f'"{given.out.name}": {report.columns:,} by {report.rows:,} heights in {report.patches:,} patches, {report.bytes / 1e6:,.1f} MB.'
     )
-    return " ".join([summary, *report.warnings])
+    return join_sentences([summary, report.describe_voids(), *report.warnings])
 
 
 def show_info(given: Namespace) -> str:

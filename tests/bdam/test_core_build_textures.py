@@ -123,7 +123,7 @@ def test_texels_over_holes_are_transparent(tmp_path, image_format):
     Image.fromarray(gradient(600, 600)).save(tmp_path / "ground.png")
     dem = write_dem(tmp_path, holes=True)
     is_known = np.isfinite(open_field([dem]).read(slice(0, SIZE), slice(0, SIZE)))
-    with build(tmp_path, [tmp_path / "ground.png"], dem, texture_format=image_format) as store:
+    with build(tmp_path, [tmp_path / "ground.png"], dem, texture_format=image_format, fill_holes="none") as store:
         positions = random_positions(2000)
         alpha = sample(store, positions)[:, 3]
         low = positions.astype(int)
@@ -137,7 +137,7 @@ def test_texels_over_holes_are_transparent(tmp_path, image_format):
 
 def test_filled_holes_are_opaque(tmp_path):
     Image.fromarray(gradient(300, 300)).save(tmp_path / "ground.png")
-    with build(tmp_path, [tmp_path / "ground.png"], write_dem(tmp_path, holes=True), fill_holes=True) as store:
+    with build(tmp_path, [tmp_path / "ground.png"], write_dem(tmp_path, holes=True)) as store:
         assert (sample(store, random_positions())[:, 3] == 255).all()
 
 
