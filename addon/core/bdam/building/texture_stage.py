@@ -167,6 +167,6 @@ class TextureTasks:
         """The plan, the images, and the mask of known heights, None where all are known."""
         content = json.loads(read_sealed(self._folder.path / TASKS_FILE, ADVICE))
         cache = SegmentCache(CACHE_BYTES)
-        images = [open_image(GroundImage(**image), self._folder.path, cache) for image in content["images"]]
+        images = [open_image(GroundImage.from_json(image), self._folder.path, cache) for image in content["images"]]
         mask = PlacedImage(KnownSamples(self._folder.grid), (-0.5, -0.5), (1.0, 1.0)) if content["has_holes"] else None
         return parse_plan(content["plan"].encode()), images, mask
