@@ -5,6 +5,7 @@ The material of a texture tile has one or two packed images, as coded in the sto
 
 import bpy
 
+from ...core.bdam.store.curvature import EARTH_RADIUS
 from ...core.bdam.textures.tile_blocks import CodedTile
 from ..shading.ground import DEFAULTS, add_ground
 from ..shading.node_builder import NodeBuilder, create_node_material, ensure_shared_group
@@ -13,7 +14,7 @@ from ..sky import SHARED_SURFACE
 
 GROUND_VERSION = 1
 LEVEL_ATTRIBUTE = "terrain_level"  # attribute of faces: the level of the patch
-MATERIAL_KEY = "farfield_bdam_material"  # custom property of the material of a terrain: its shading
+MATERIAL_KEY = "farfield_bdam_material"  # custom property of the material of a terrain: its shading, and whether the ground is curved
 ROUGHNESS = 0.95
 LEVEL_COLOR_STEP = 0.381966  # between two levels; multiples of the golden ratio are far from each other
 SNOW_HEIGHT = 0.66  # Fraction of the height range at which snow begins.
@@ -30,10 +31,13 @@ MAX_UNUSED = 64  # materials of texture tiles that are kept without users
 MAX_REMOVED = 8  # unused materials that are removed at a time
 
 
-def create_material(name: str, shading: str, root: bpy.types.Object, heights: tuple[float, float], cell_size: float) -> bpy.types.Material:
+def create_material(
+    name: str, shading: str, root: bpy.types.Object, heights: tuple[float, float], cell_size: float, curvature: float = 0.0
+) -> bpy.types.Material:
     """Create the material of a terrain below `root` for a shading other than "texture": "slope", "height" or "level".
 
-    heights: lowest and highest height above the root, with exaggeration. cell_size: distance between samples.
+    heights: lowest and highest height above the root, with exaggeration. cell_size: distance between samples. curvature: the
+    exaggeration where the curvature of the Earth lowers the ground, which colors by height do not count; 0 where it does not.
     """
     material, builder = create_node_material(name)
     material[MATERIAL_KEY] = shading
@@ -42,6 +46,8 @@ def create_material(name: str, shading: str, root: bpy.types.Object, heights: tu
         _finish(builder, _color_by_level(builder), None)
         return material
     position, span = builder.node("ShaderNodeTexCoord", {"object": root}).outputs["Object"], max(heights[1] - heights[0], 1e-6)
+    if curvature:
+        position = _raise(builder, position, curvature / (2.0 * EARTH_RADIUS))
     if shading == "slope":
         levels = {"Rock Slope": ROCK_NORMAL, "Snow Height": heights[0] + SNOW_HEIGHT * span, "Sand Height": heights[0] - span}
         add_ground(material, builder, position, {"Size": 0.5 * span, "Bump Size": BUMP_SIZE * cell_size, "Distant Bumps": 0.0, **levels})
@@ -50,6 +56,15 @@ def create_material(name: str, shading: str, root: bpy.types.Object, heights: tu
     fraction.node.label = "Height"
     _finish(builder, _color_by_height(builder, fraction), None)
     return material
+
+
+def _raise(builder: NodeBuilder, position: bpy.types.NodeSocket, factor: float) -> bpy.types.NodeSocket:
+    """Return a position whose height is larger by the square of the distance from the center times a factor."""
+    level = builder.vector("MULTIPLY", position, (1.0, 1.0, 0.0))
+    squared = builder.node("ShaderNodeVectorMath", {"operation": "DOT_PRODUCT", "label": "Curvature"})
+    for index in range(2):
+        builder.connect(level, squared.inputs[index])
+    return builder.vector("ADD", position, builder.combine(0.0, 0.0, builder.math("MULTIPLY", squared.outputs["Value"], factor)))
 
 
 def create_texture_material(name: str, color: bpy.types.Image, alpha: bpy.types.Image | None) -> bpy.types.Material:

@@ -80,6 +80,7 @@ class ViewSettings(Settings):
         maximum=100_000_000,
     )
     exaggeration: float = setting(1.0, "Factor of all heights", minimum=0.01, maximum=100.0)
+    curvature: bool = setting(False, "Lower the ground as the curvature of the Earth does, by the distance from the center of the terrain")
     shading: str = setting("texture", "What the colors of the terrain show", choices=SHADINGS)
     culling: bool = setting(
         True, "Keep the terrain coarse where the 3D Viewport does not show it. Renders always have all of it, for shadows and reflections"
