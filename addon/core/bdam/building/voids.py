@@ -1,9 +1,12 @@
 """Voids of a build: sets of unknown samples that are connected along rows and columns. Small ones are filled from their rims.
 
-A small void gets the heights of a membrane that is spanned over its rim: every unknown height is the mean of its four neighbors
-(Laplace's equation), so that a void in a plane gets the plane. The grid is read in bands of rows. A void that reaches into the next band
-stays open and is filled after its last row, so that the result does not depend on the bands. In memory are a band, and the samples of
-those open voids that can still be small.
+A small void gets the heights of a thin plate with a little tension (Smith and Wessel, Gridding with continuous curvature splines in
+tension, 1990): it continues the slopes around it, and a void in a plane gets the plane. The squares of the sums of second differences, at
+all samples in the void and next to it, and of the differences between neighbors are as small as possible together. Where voids are so close
+that these sums would couple them, the sums are left out, so that every void is filled by itself.
+
+The grid is read in bands of rows. A void that reaches into the next band stays open and is filled after its last row, so that the result
+does not depend on the bands. In memory are a band, and the samples of those open voids that can still be small.
 """
 
 import shutil
@@ -13,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import label
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import splu
 
 from ...files.file_access import convert_os_errors
-from ...imaging.grid_solver import solve_linked
 from ...jobs.progress import Progress, Steps
 from ...messages import format_count, format_number
 from .height_grid import HeightGrid, encode_heights, read_window, split_rows
@@ -25,7 +28,9 @@ from .height_grid import HeightGrid, encode_heights, read_window, split_rows
 MAX_SAMPLES = 40_000  # In a small void of 200 x 200, no sample is farther than 100 from known ones, the default of gdal_fillnodata.
 MAX_BORDER = 0.4  # part of the outline of a small void that may be the border of the grid: it is at most four times as long as deep there
 SOLVED_SAMPLES = 20_000  # voids are solved together up to the one that exceeds this number
-DECIMALS = 6  # Heights are rounded to these before they become whole steps, so that exact halves do not depend on rounding errors.
+TENSION = 0.05  # 0 is a thin plate, which overshoots most; 1 a membrane, with a kink at the rim and cusps at single known samples
+NO_VOID, OTHER_VOID = -1, -2  # instead of the index of a void: of known samples, and of those of voids that are not solved together
+DECIMALS = 3  # Heights are rounded to these before they become whole steps, so that exact halves do not depend on rounding errors.
 SQUARE_KILOMETER = 1e6  # square meters
 
 
@@ -61,18 +66,16 @@ class _Samples:
         voids: (N,) int64, index of the void.
         neighbors: (N,) int64, number of neighbors within the grid.
         known_neighbors: (N,) int64, number of known ones among them.
-        sums: (N,) float64, sum of the heights of known neighbors in steps.
     """
 
     positions: np.ndarray
     voids: np.ndarray
     neighbors: np.ndarray
     known_neighbors: np.ndarray
-    sums: np.ndarray
 
     def select(self, mask: np.ndarray, numbers: np.ndarray) -> "_Samples":
         """Return the samples in `mask` (N,) with other indices of voids, `numbers` by index."""
-        return _Samples(self.positions[mask], numbers[self.voids[mask]], self.neighbors[mask], self.known_neighbors[mask], self.sums[mask])
+        return _Samples(self.positions[mask], numbers[self.voids[mask]], self.neighbors[mask], self.known_neighbors[mask])
 
     def measure(self, count: int) -> np.ndarray:
         """Return (V, 3) int64 of `count` voids: samples, their sides on the border of the grid, and those towards known samples."""
@@ -102,7 +105,7 @@ def fill_small_voids(grid: HeightGrid, out: Path) -> Steps[VoidCounts]:
             yield Progress(band.stop / grid.rows, "Filling voids")
             for index, sizes in enumerate((measures[_are_small(measures), 0], measures[~_are_small(measures), 0])):
                 counts[2 * index : 2 * index + 2] += len(sizes), sizes.sum()
-            _write_steps(target, samples.positions, _solve(samples, grid.columns))
+            _write_steps(target, samples.positions, _solve(grid, samples))
     return VoidCounts(*counts.tolist())
 
 
@@ -114,7 +117,7 @@ def _are_small(measures: np.ndarray) -> np.ndarray:
 
 def _find_voids(grid: HeightGrid) -> Iterator[tuple[slice, np.ndarray, _Samples]]:
     """Yield for each band the `_Samples.measure` (V, 3) of the voids that end in it, and the samples of the small ones among them."""
-    measures, samples = np.zeros((0, 3), np.int64), _Samples(*np.zeros((4, 0), np.int64), np.zeros(0))
+    measures, samples = np.zeros((0, 3), np.int64), _Samples(*np.zeros((4, 0), np.int64))
     last_row = np.full(grid.columns, -1)  # the open voids that the last row of the band before belongs to, -1 for none
     for band in split_rows(0, grid.rows, grid.columns):
         labels, found = _read_voids(grid, band)
@@ -142,20 +145,18 @@ def _find_voids(grid: HeightGrid) -> Iterator[tuple[slice, np.ndarray, _Samples]
 def _read_voids(grid: HeightGrid, band: slice) -> tuple[np.ndarray, _Samples]:
     """Return the indices (h, columns) of voids within a band, -1 for known samples, and the unknown samples."""
     low, high = max(band.start - 1, 0), min(band.stop + 1, grid.rows)
-    steps, is_known = grid.read(slice(low, high), slice(0, grid.columns))
+    _, is_known = grid.read(slice(low, high), slice(0, grid.columns))
     labels, _ = label(~is_known[band.start - low : band.stop - low])
     rows, columns = np.nonzero(labels)
     voids = labels[rows, columns].astype(np.int64) - 1
     positions = (rows + band.start) * grid.columns + columns
-    neighbors, known_neighbors, sums = np.zeros(len(rows), np.int64), np.zeros(len(rows), np.int64), np.zeros(len(rows))
+    neighbors, known_neighbors = np.zeros((2, len(rows)), np.int64)
     for offset_row, offset_column in ((-1, 0), (1, 0), (0, -1), (0, 1)):
         row, column = rows + band.start - low + offset_row, columns + offset_column
         inside = np.flatnonzero((row >= 0) & (row < high - low) & (column >= 0) & (column < grid.columns))
-        known = inside[is_known[row[inside], column[inside]]]
         neighbors[inside] += 1
-        known_neighbors[known] += 1
-        sums[known] += steps[row[known], column[known]]
-    return labels.astype(np.int64) - 1, _Samples(positions, voids, neighbors, known_neighbors, sums)
+        known_neighbors[inside] += is_known[row[inside], column[inside]]
+    return labels.astype(np.int64) - 1, _Samples(positions, voids, neighbors, known_neighbors)
 
 
 def _join(samples: _Samples, found: _Samples, first: int) -> _Samples:
@@ -165,41 +166,105 @@ def _join(samples: _Samples, found: _Samples, first: int) -> _Samples:
         np.concatenate([samples.voids, first + found.voids]),
         np.concatenate([samples.neighbors, found.neighbors]),
         np.concatenate([samples.known_neighbors, found.known_neighbors]),
-        np.concatenate([samples.sums, found.sums]),
     )
 
 
-def _solve(samples: _Samples, columns: int) -> np.ndarray:
+def _solve(grid: HeightGrid, samples: _Samples) -> np.ndarray:
     """Return the heights (N,) int64 in steps of all samples of voids."""
     sizes = np.bincount(samples.voids)
     parts = ((np.cumsum(sizes) - sizes) // SOLVED_SAMPLES)[samples.voids]
     heights = np.zeros(len(samples.positions))
     for part in np.unique(parts):
         members = np.flatnonzero(parts == part)
-        positions = samples.positions[members]
-        links = [np.zeros((2, 0), np.int64)]
-        for offset, can_link in ((1, (positions + 1) % columns != 0), (columns, np.ones(len(positions), bool))):
-            others = np.minimum(np.searchsorted(positions, positions + offset), len(positions) - 1)
-            linked = np.flatnonzero((positions[others] == positions + offset) & can_link)
-            links += [np.stack([linked, others[linked]]), np.stack([others[linked], linked])]
-        pairs, places = tuple(np.concatenate(links, axis=1)), np.stack(np.divmod(positions, columns), axis=1)
-        sums = samples.sums[members, None]
-        heights[members] = solve_linked(samples.neighbors[members], pairs, places, sums, lambda like=sums: np.zeros_like(like))[:, 0]
+        heights[members] = _solve_part(grid, samples.positions[members], samples.voids[members])
     return np.rint(np.round(heights, DECIMALS)).astype(np.int64)
 
 
-def _write_steps(grid: HeightGrid, positions: np.ndarray, steps: np.ndarray) -> None:
-    """Write known heights (N,) in steps at `positions` (N,), ascending, into the file of a grid, band by band."""
+def _solve_part(grid: HeightGrid, positions: np.ndarray, voids: np.ndarray) -> np.ndarray:
+    """Return the heights (N,) float64 in steps of all samples of voids at ascending `positions` (N,)."""
+    centers = _with_neighbors(grid, positions)
+    nodes = _with_neighbors(grid, centers)
+    steps, is_known = _read_steps(grid, nodes)
+    unknown = np.searchsorted(nodes, positions)
+    owners = np.where(is_known, NO_VOID, OTHER_VOID)
+    owners[unknown] = voids
+    bending = _build_differences(grid, nodes, np.searchsorted(nodes, centers))
+    members = owners[bending.indices]  # A center between two voids would make the one depend on the other.
+    largest = np.maximum.reduceat(members, bending.indptr[:-1])
+    is_mixed = np.logical_or.reduceat((members != NO_VOID) & (members != np.repeat(largest, np.diff(bending.indptr))), bending.indptr[:-1])
+    bending = bending[~is_mixed]
+    system = (1.0 - TENSION) * (bending[:, unknown].T @ bending) + TENSION * _build_links(grid, nodes, unknown)
+    known = np.flatnonzero(owners == NO_VOID)
+    center = steps[known].mean()
+    factors = splu(system[:, unknown].tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    return center - factors.solve(system[:, known] @ (steps[known] - center))
+
+
+def _with_neighbors(grid: HeightGrid, positions: np.ndarray) -> np.ndarray:
+    """Return ascending positions (N,) and those of their neighbors, ascending, each once."""
+    rows, columns = np.divmod(positions, grid.columns)
+    is_inside = (rows > 0, rows < grid.rows - 1, columns > 0, columns < grid.columns - 1)
+    offsets = (-grid.columns, grid.columns, -1, 1)
+    return np.unique(np.concatenate([positions, *(positions[inside] + offset for inside, offset in zip(is_inside, offsets, strict=True))]))
+
+
+def _build_differences(grid: HeightGrid, nodes: np.ndarray, centers: np.ndarray) -> csr_array:
+    """Return the sums (C, M) of the second differences along rows and columns at `centers` (C,), indices of `nodes` (M,). On the border of
+    the grid, it is that along the border; corners have none."""
+    rows, columns = np.divmod(nodes[centers], grid.columns)
+    entries = []
+    for is_between, offset in (((rows > 0) & (rows < grid.rows - 1), grid.columns), ((columns > 0) & (columns < grid.columns - 1), 1)):
+        numbers = np.flatnonzero(is_between)
+        for step, weight in ((-offset, -1.0), (0, 2.0), (offset, -1.0)):
+            entries.append((np.full(len(numbers), weight), numbers, np.searchsorted(nodes, nodes[centers[numbers]] + step)))
+    values, numbers, others = (np.concatenate(parts) for parts in zip(*entries, strict=True))
+    differences = csr_array((values, (numbers, others)), shape=(len(centers), len(nodes)))
+    return differences[np.diff(differences.indptr) > 0]
+
+
+def _build_links(grid: HeightGrid, nodes: np.ndarray, unknown: np.ndarray) -> csr_array:
+    """Return the sums (N, M) of the differences to the neighbors at `unknown` (N,), indices of `nodes` (M,)."""
+    rows, columns = np.divmod(nodes[unknown], grid.columns)
+    entries = []
+    for has_neighbor, offset in (
+        (rows > 0, -grid.columns),
+        (rows < grid.rows - 1, grid.columns),
+        (columns > 0, -1),
+        (columns < grid.columns - 1, 1),
+    ):
+        numbers = np.flatnonzero(has_neighbor)
+        others = np.searchsorted(nodes, nodes[unknown[numbers]] + offset)
+        entries += [(np.ones(len(numbers)), numbers, unknown[numbers]), (np.full(len(numbers), -1.0), numbers, others)]
+    values, numbers, others = (np.concatenate(parts) for parts in zip(*entries, strict=True))
+    return csr_array((values, (numbers, others)), shape=(len(unknown), len(nodes)))
+
+
+def _read_steps(grid: HeightGrid, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the heights (N,) int64 in steps at ascending `positions` (N,), at least one, and which of them are known (N,)."""
+    parts = [
+        tuple(values.reshape(-1)[positions[members] - rows.start * grid.columns] for values in grid.read(rows, slice(0, grid.columns)))
+        for members, rows in _split_by_bands(grid, positions)
+    ]
+    steps, is_known = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return steps.astype(np.int64), is_known
+
+
+def _split_by_bands(grid: HeightGrid, positions: np.ndarray) -> Iterator[tuple[slice, slice]]:
+    """Yield, for bands of a grid, the part of ascending `positions` (N,) that lies there and the rows of these."""
     if not len(positions):
         return
-    values, dtype = encode_heights(steps, np.ones(len(steps), bool)), np.dtype("<i4")
     for band in split_rows(int(positions[0]) // grid.columns, int(positions[-1]) // grid.columns + 1, grid.columns):
         first, last = np.searchsorted(positions, (band.start * grid.columns, band.stop * grid.columns))
-        if first == last:
-            continue
-        rows = slice(int(positions[first]) // grid.columns, int(positions[last - 1]) // grid.columns + 1)
+        if first < last:
+            yield slice(first, last), slice(int(positions[first]) // grid.columns, int(positions[last - 1]) // grid.columns + 1)
+
+
+def _write_steps(grid: HeightGrid, positions: np.ndarray, steps: np.ndarray) -> None:
+    """Write known heights (N,) in steps at ascending `positions` (N,) into the file of a grid."""
+    values, dtype = encode_heights(steps, np.ones(len(steps), bool)), np.dtype("<i4")
+    for members, rows in _split_by_bands(grid, positions):
         window = read_window(grid.path, dtype, grid.columns, rows, slice(0, grid.columns))
-        window.reshape(-1)[positions[first:last] - rows.start * grid.columns] = values[first:last]
+        window.reshape(-1)[positions[members] - rows.start * grid.columns] = values[members]
         with grid.path.open("r+b") as file:
             file.seek(rows.start * grid.columns * dtype.itemsize)
-            file.write(window.astype(dtype, copy=False).tobytes())
+            file.write(window.tobytes())
