@@ -102,10 +102,15 @@ def fill_small_voids(grid: HeightGrid, out: Path) -> Steps[VoidCounts]:
     with convert_os_errors(f'The voids of "{grid.path}" cannot be filled'):
         shutil.copyfile(grid.path, out)
         for band, measures, samples in _find_voids(grid):
-            yield Progress(band.stop / grid.rows, "Filling voids")
-            for index, sizes in enumerate((measures[_are_small(measures), 0], measures[~_are_small(measures), 0])):
+            is_small = _are_small(measures)
+            for index, sizes in enumerate((measures[is_small, 0], measures[~is_small, 0])):
                 counts[2 * index : 2 * index + 2] += len(sizes), sizes.sum()
-            _write_steps(target, samples.positions, _solve(grid, samples))
+            yield Progress(band.stop / grid.rows, "Filling voids")
+            for members in _split(samples):
+                yield Progress(band.stop / grid.rows, "Filling voids")
+                positions = samples.positions[members]
+                heights = _solve(grid, positions, samples.voids[members])
+                _write_steps(target, positions, np.rint(np.round(heights, DECIMALS)).astype(np.int64))
     return VoidCounts(*counts.tolist())
 
 
@@ -169,19 +174,15 @@ def _join(samples: _Samples, found: _Samples, first: int) -> _Samples:
     )
 
 
-def _solve(grid: HeightGrid, samples: _Samples) -> np.ndarray:
-    """Return the heights (N,) int64 in steps of all samples of voids."""
+def _split(samples: _Samples) -> list[np.ndarray]:
+    """Return the indices of samples of voids that are solved together, in ascending order."""
     sizes = np.bincount(samples.voids)
     parts = ((np.cumsum(sizes) - sizes) // SOLVED_SAMPLES)[samples.voids]
-    heights = np.zeros(len(samples.positions))
-    for part in np.unique(parts):
-        members = np.flatnonzero(parts == part)
-        heights[members] = _solve_part(grid, samples.positions[members], samples.voids[members])
-    return np.rint(np.round(heights, DECIMALS)).astype(np.int64)
+    return [np.flatnonzero(parts == part) for part in np.unique(parts)]
 
 
-def _solve_part(grid: HeightGrid, positions: np.ndarray, voids: np.ndarray) -> np.ndarray:
-    """Return the heights (N,) float64 in steps of all samples of voids at ascending `positions` (N,)."""
+def _solve(grid: HeightGrid, positions: np.ndarray, voids: np.ndarray) -> np.ndarray:
+    """Return the heights (N,) float64 in steps of all samples of `voids` (N,) at ascending `positions` (N,)."""
     centers = _with_neighbors(grid, positions)
     nodes = _with_neighbors(grid, centers)
     steps, is_known = _read_steps(grid, nodes)
