@@ -144,7 +144,7 @@ def test_the_report_describes_the_store(built):
     assert report.holes == np.isnan(heights_of()).sum()
     assert (report.voids.filled, report.voids.left, report.voids.left_samples) == (1, 1, 45)
     assert report.describe_voids() == "1 void filled, 1 left of 0.0045 km²; Fill Holes can fill all."
-    assert {"heights", "textures", "patches", "store"} == report.seconds.keys()
+    assert {"heights", "textures", "normals", "patches", "store"} == report.seconds.keys()
     assert any("has no position" in warning for warning in report.warnings) and image.exists()
 
 
@@ -163,7 +163,9 @@ def test_every_sample_of_the_source_is_in_the_finest_level(built):
     assert seen.all()
 
 
-@pytest.mark.parametrize(("version", "message"), [(structure.VERSION - 1, "older Farfield"), (structure.VERSION + 1, "newer Farfield")])
+@pytest.mark.parametrize(
+    ("version", "message"), [(structure.OLDEST_VERSION - 1, "older Farfield"), (structure.VERSION + 1, "newer Farfield")]
+)
 def test_stores_of_other_versions_are_refused(built, tmp_path, monkeypatch, version, message):
     folder, _, _, _, _ = built
     shutil.copytree(folder / "store", tmp_path / "store")

@@ -244,7 +244,7 @@ def test_curvature_lowers_the_ground_and_keeps_its_colors(folder, monkeypatch):
     drop = (positions[:, :2] ** 2).sum(axis=1) / 8000.0
     assert np.abs(positions[:, 2] - 2.0 * (heights[rows, columns] - drop)).max() < 0.03 and drop.max() > 90.0
     shown = [next(iter(terrain.tiles().values())).data.materials[0] for terrain in (flat, curved)]
-    labels = [{node.label: node for node in material.node_tree.nodes} for material in shown]
+    labels = [{node.label: node for node in materials.find_surface(material).nodes} for material in shown]
     assert "Curvature" not in labels[0]
     product = labels[1]["Curvature"].outputs["Value"].links[0].to_node
     assert product.inputs[1].default_value == pytest.approx(2.0 / 8000.0)

@@ -55,6 +55,9 @@ class BdamSettings(Settings):
         used_if={"texture_format": ("jpeg", "webp")},
     )
     texture_error: str = in_options("magnification", "What decides how fine textures must be", choices=TEXTURE_ERRORS)
+    normal_maps: bool = in_options(
+        True, "Store the directions of all samples, so that coarse triangles are shaded like the finest ones; about 1.6 bytes per sample"
+    )
     executor: str = in_options("processes", "Where patches are built: serial, processes, or processes:N for N at a time", in_presets=False)
 
 

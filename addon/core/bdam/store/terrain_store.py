@@ -1,4 +1,4 @@
-"""A finished terrain: a folder with a structure file, a geometry file and, if the terrain has textures, a folder of these.
+"""A finished terrain: a folder with a structure file, a geometry file and, if the terrain has textures or normal maps, folders of these.
 
 Both files and those of the textures have backups, see `files.backups`.
 """
@@ -20,7 +20,8 @@ from .patch_codec import Patch, decode_patch
 from .patch_links import PatchLimits, find_leaf_squares, find_limits, join_bounds, link_patches
 from .structure import STRUCTURE_FILE, find_structure, read_structure
 
-GEOMETRY_FILE, GEOMETRY_KIND, TEXTURE_FOLDER = "geometry.bdam", "bdamgeom", "textures"
+GEOMETRY_FILE, GEOMETRY_KIND, TEXTURE_FOLDER, NORMALS_FOLDER = "geometry.bdam", "bdamgeom", "textures", "normals"
+TILE_KINDS = {TEXTURE_FOLDER: "texture tile", NORMALS_FOLDER: "normal map"}
 
 
 class TerrainStore(AbstractContextManager):
@@ -34,6 +35,7 @@ class TerrainStore(AbstractContextManager):
         links: parents, children and partners of patches.
         bounds: (N, 7) float32, bounding boxes and errors of all patches, see `join_bounds`.
         textures: the texture tiles, None without.
+        normals: the tiles of normal maps, None without; see `building.sample_normals`.
         file_damages: damages of files whose backup is used, and of backups.
         is_curved: whether positions, bounds and errors are those of ground that the curvature of the Earth lowers.
     """
@@ -59,9 +61,10 @@ class TerrainStore(AbstractContextManager):
             raise FileError(f'"{folder / GEOMETRY_FILE}" and "{STRUCTURE_FILE}" belong to different terrains; build the terrain again.')
         self.bounds, self.levels = join_bounds(curve_levels(self.levels) if is_curved else self.levels)
         self.links = link_patches(self.levels)
-        self.textures = self._open_textures()
-        of_textures = () if self.textures is None else self.textures.damages
-        self.file_damages: tuple[FileDamage, ...] = (*damages, *self._geometry.damages, *of_textures)
+        self.textures = self._open_tiles(TEXTURE_FOLDER) if self.header.has_texture else None
+        self.normals = self._open_tiles(NORMALS_FOLDER) if self.header.has_normals else None
+        of_tiles = [damage for tiles in self._all_tiles for damage in tiles.damages]
+        self.file_damages: tuple[FileDamage, ...] = (*damages, *self._geometry.damages, *of_tiles)
         self._patch_damages: dict[int, str] = {}
         self._limits: tuple[int, PatchLimits | None] = (0, None)
 
@@ -71,18 +74,21 @@ class TerrainStore(AbstractContextManager):
     def close(self) -> None:
         """Close the files."""
         self._geometry.close()
-        if self.textures is not None:
-            self.textures.close()
+        for tiles in self._all_tiles:
+            tiles.close()
 
-    def _open_textures(self) -> TextureStore | None:
-        """Return the texture tiles, None without. Raises FileError if they are those of another terrain, too."""
-        if not self.header.has_texture:
-            return None
-        textures, tree = TextureStore(self.folder / TEXTURE_FOLDER), self.tree
+    @property
+    def _all_tiles(self) -> list[TextureStore]:
+        """The texture tiles and the normal maps, as far as there are any."""
+        return [tiles for tiles in (self.textures, self.normals) if tiles is not None]
+
+    def _open_tiles(self, name: str) -> TextureStore:
+        """Return the tiles in a folder of the store. Raises FileError if they are those of another terrain, too."""
+        textures, tree = TextureStore(self.folder / name, TILE_KINDS[name]), self.tree
         grid = textures.grid
         if (grid.columns, grid.rows, grid.size) != (tree.columns, tree.rows, tree.side) or grid.level_count > tree.depth + 1:
             textures.close()
-            raise FileError(f'The textures in "{self.folder}" are those of another terrain; build the terrain again.')
+            raise FileError(f'The {name} in "{self.folder}" are those of another terrain; build the terrain again.')
         return textures
 
     def read(self, level: int, row: int) -> Patch:
@@ -147,9 +153,9 @@ class TerrainStore(AbstractContextManager):
             yield damage.name
         for number in self._geometry.verify():
             yield self.label(*self.links.locate(number))
-        if self.textures is not None:
-            for number in self.textures.verify():
-                yield self.textures.label(number)
+        for tiles in self._all_tiles:
+            for number in tiles.verify():
+                yield tiles.label(number)
 
     @cached_property
     def leaf_squares(self) -> list[np.ndarray]:

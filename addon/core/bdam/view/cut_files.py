@@ -17,6 +17,7 @@ from .caches import PatchCache
 from .cut_meshes import CutMesh, PatchMesh, merge_patches, remove_unused
 from .extraction import Cut, CutSettings, extract_cut
 from .texture_cuts import TextureSelector
+from .tile_maps import StoreMaps
 from .tiles import MAX_TILES, Tile, TileGrouping, texture_uvs
 
 PROGRESS_PATCHES = 64  # between two steps
@@ -70,7 +71,8 @@ def extract_mesh(store: TerrainStore, viewer: Viewer, settings: CutSettings) -> 
         FileError: no patch can be read.
     """
     yield Progress(0.0, "Choosing patches")
-    selector, cache = TextureSelector(store), PatchCache(store, max_bytes=0)
+    maps, cache = StoreMaps(store, has_color=True), PatchCache(store, max_bytes=0)
+    selector = TextureSelector(store, maps)
     for _ in store.attempts():
         texture_cut = selector.choose(viewer, settings, MAX_TILES)
         cut = extract_cut(store, viewer, settings, selector.is_forced(texture_cut))
@@ -79,7 +81,9 @@ def extract_mesh(store: TerrainStore, viewer: Viewer, settings: CutSettings) -> 
         raise FileError(f'No patch of "{store.folder}" can be read; build the terrain again.')
     tiles = TileGrouping(store).group(cut, texture_cut.numbers)
     mesh = remove_unused(merge_patches(list(meshes.values()), np.array([level for level, _ in meshes])))
-    return ExtractedMesh(mesh, _list_parts(store, mesh, meshes, tiles.values()), len(meshes), len(tiles), cut.max_error, store.damages)
+    return ExtractedMesh(
+        mesh, _list_parts(store, mesh, meshes, _find_textures(maps, tiles.values())), len(meshes), len(tiles), cut.max_error, store.damages
+    )
 
 
 def read_texture(store: TerrainStore, number: int) -> bytes:
@@ -130,22 +134,29 @@ def _describe_material(index: int, image: bytes) -> Document:
     return {"pbrMetallicRoughness": surface, **({"alphaMode": "MASK"} if has_alpha(image) else {})}
 
 
+def _find_textures(maps: StoreMaps, tiles: Iterable[Tile]) -> dict[tuple[int, int], int | None]:
+    """Return the number of the texture tile of all patches by their level and row, None where there is none."""
+    textures = {}
+    for tile in tiles:
+        found = None if tile.texture is None else maps.find("color", tile.texture)
+        textures |= dict.fromkeys(zip(tile.levels.tolist(), tile.rows.tolist(), strict=True), None if found is None else found[0])
+    return textures
+
+
 def _list_parts(
-    store: TerrainStore, mesh: CutMesh, meshes: Mapping[tuple[int, int], PatchMesh], tiles: Iterable[Tile]
+    store: TerrainStore, mesh: CutMesh, meshes: Mapping[tuple[int, int], PatchMesh], textures: Mapping[tuple[int, int], int | None]
 ) -> tuple[CutPart, ...]:
-    """Return the parts of the mesh of patches by their level and row, in the order of their triangles."""
-    sources = {
-        patch: (tile.texture, tile.square if tile.texture is not None else None)
-        for tile in tiles
-        for patch in zip(tile.levels.tolist(), tile.rows.tolist(), strict=True)
-    }
-    materials = list(dict.fromkeys(sources[patch] for patch in meshes))
-    numbers = np.repeat([materials.index(sources[patch]) for patch in meshes], [len(patch.triangles) for patch in meshes.values()])
+    """Return the parts of the mesh of patches by their level and row, in the order of their triangles. textures: of the patches."""
+    materials = list(dict.fromkeys(textures[patch] for patch in meshes))
+    numbers = np.repeat([materials.index(textures[patch]) for patch in meshes], [len(patch.triangles) for patch in meshes.values()])
     parts = []
-    for number, (texture, square) in enumerate(materials):
+    for number, texture in enumerate(materials):
         vertices, triangles = np.unique(mesh.triangles[numbers == number], return_inverse=True)
         if len(vertices):
-            uvs = None if square is None else texture_uvs(store, mesh.ids[vertices], square)
+            uvs = None
+            if texture is not None:
+                index = store.textures.index
+                uvs = texture_uvs(store, mesh.ids[vertices], (int(index.levels[texture]), *index.tiles[texture].tolist()))
             parts.append(CutPart(vertices, triangles.reshape(-1, 3).astype(np.int32), uvs, texture))
     return tuple(parts)
 

@@ -32,8 +32,8 @@ class Tile:
     Attributes:
         levels, rows: (N,) int64, patches in the order of the bintrees.
         is_outline: (N,) bool, see `Cut`.
-        texture: number of its texture tile, None without.
-        square: square of the texture tile.
+        texture: number of the square of its maps, see `tile_maps`, None without.
+        square: that square.
     """
 
     levels: np.ndarray
