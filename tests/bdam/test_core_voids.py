@@ -7,8 +7,11 @@ from hypothesis import strategies as st
 
 from farfield.addon.core.bdam.building import height_grid, voids
 from farfield.addon.core.bdam.building.height_grid import HeightGrid, encode_heights
+from farfield.addon.core.bdam.building.heights import write_heights
 from farfield.addon.core.bdam.building.voids import VoidCounts, count_voids, fill_small_voids
+from farfield.addon.core.bdam.fields.terrain_field import open_field
 from farfield.addon.core.jobs.progress import run_to_end
+from tiff_writer import map_tags, write_tiff
 
 SHAPE = 120, 160
 Y, X = np.mgrid[: SHAPE[0], : SHAPE[1]]
@@ -53,6 +56,19 @@ def test_a_single_known_sample_in_a_void_is_a_hill_and_no_spike(tmp_path):
     filled, known, _ = fill(tmp_path, peak, is_known)
     assert known.all() and filled[60, 80] == 100_000 and filled.max() == 100_000
     assert filled[60, 81] > 95_000 and filled[60, 90] > 30_000  # a membrane has 66,078 and 15,365
+
+
+def test_a_void_across_the_seam_of_two_files_is_one(tmp_path):
+    heights = np.where(np.hypot(X - 80, Y - 60) < 25, np.nan, PLANE / 100.0).astype(np.float32)[::-1]
+    paths = []
+    for name, columns in (("west", slice(0, 81)), ("east", slice(80, 160))):
+        tags = map_tags((10.0, 10.0), (500_000.0 + 10.0 * columns.start, 5_200_000.0))
+        paths.append(write_tiff(tmp_path / f"{name}.tif", heights[:, columns], "deflate", tile=(32, 32), tags=tags))
+    field = open_field(paths)
+    run_to_end(write_heights(field, tmp_path / "heights.raw", 0.01))
+    counts = run_to_end(fill_small_voids(HeightGrid(tmp_path / "heights.raw", *SHAPE), tmp_path / "filled.raw"))
+    filled, known = HeightGrid(tmp_path / "filled.raw", *SHAPE).read(slice(0, SHAPE[0]), slice(0, SHAPE[1]))
+    assert counts.filled == 1 and known.all() and np.abs(filled - PLANE).max() <= 1
 
 
 @pytest.mark.parametrize(

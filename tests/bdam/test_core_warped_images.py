@@ -53,6 +53,7 @@ def test_pixels_are_where_they_belong(tmp_path, name, field):
     path = write_tiff(tmp_path / "ground.tif", pixels, "deflate", tile=(64, 64), tags=map_tags(step, north_west, MAPS[name][0]))
     target = placement(field)
     (image,) = place_images([path], target, SHAPE)
+    assert image.warnings == (f'"{path}" is warped from {placement(name).crs} to {target.crs}.',)
     placed = open_image(image, tmp_path, SegmentCache())
     assert isinstance(placed.source, WarpedPixels)
     rows, columns, _ = placed.source.shape

@@ -149,6 +149,8 @@ def _place_image(path: Path, index: int, is_single: bool, field: Placement, shap
         is_declared = reference.affine is not None or completed.has_unit or position.placement.is_geographic
         axes = _find_axes(position, size[:2], is_reversed=raw is not None)
         corner, step, warp = _place_on_map(path, position.placement, axes, is_declared, size[:2], field, shape)
+        if warp is not None:
+            warnings = (*warnings, f'"{path}" is warped from {position.placement.crs} to {field.crs}.')
     elif is_single:
         height = float(shape[0] - 1)
         corner, step = (0.0, 0.0 if raw else height), ((shape[1] - 1) / size[1], (height if raw else -height) / size[0])
