@@ -1,7 +1,7 @@
 """Positions of maps in another coordinate reference system: degrees, UTM and Web Mercator.
 
 WGS 84 and systems of the same ellipsoid or nearly so, such as ETRS89 and NAD83, count as one: they differ by up to two meters. Source: IOGP
-Publication 373-7-2, Geomatics Guidance Note 7, part 2 (Transverse Mercator, and Popular Visualisation Pseudo Mercator).
+Publication 373-7-2, Geomatics Guidance Note 7, part 2 (Transverse Mercator, and the Pseudo Mercator of web maps).
 """
 
 from dataclasses import dataclass
