@@ -1,9 +1,12 @@
 """Normal maps of large terrain: what they hold, where tiles find them, and that coarse triangles are shaded like the finest ones."""
 
+from contextlib import contextmanager
+
 import bpy
 import numpy as np
 import pytest
 
+from farfield.addon.bridge.bdam import materials
 from farfield.addon.bridge.bdam import objects as terrain_objects
 from farfield.addon.bridge.bdam.materials import find_surface
 from farfield.addon.bridge.bdam.objects import TerrainChange
@@ -12,7 +15,7 @@ from farfield.addon.core.bdam.building.height_grid import HeightGrid, encode_hei
 from farfield.addon.core.bdam.building.sample_normals import SampleNormals
 from farfield.addon.core.bdam.building.terrain_build import build_terrain
 from farfield.addon.core.bdam.settings import BdamSettings, ViewSettings
-from farfield.addon.core.bdam.store import structure
+from farfield.addon.core.bdam.store import curvature, structure
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
 from farfield.addon.core.bdam.textures.grid import BORDER, STEP, TILE_SIZE
 from farfield.addon.core.bdam.view.engine import BdamEngine
@@ -106,9 +109,24 @@ def test_a_store_of_an_earlier_version_has_no_normal_maps(tmp_path, monkeypatch)
         assert store.normals is None and store.header.rows == 33
 
 
-def render(work, folder, tolerance, shading="height", has_maps=True):
+@contextmanager
+def open_light_table():
+    """Yield a scene with a camera above and a Sun, and remove it."""
+    with render_scene("Normal Maps") as work:
+        prepare_cycles(work.scene, 4, 1)
+        work.scene.render.resolution_x, work.scene.render.resolution_y = 64, 48
+        work.camera.data.type, work.camera.data.ortho_scale, work.camera.data.clip_end = "ORTHO", 600.0, 1e4
+        work.camera.location.z = 1000.0
+        light = work.own(bpy.data.lights.new("Sun", "SUN"))
+        light.energy = 3.0
+        work.add_object(light).rotation_euler = (0.6, 0.4, 0.0)
+        yield work
+
+
+def render(work, folder, tolerance, shading="height", has_maps=True, curvature=False):
     """Render a terrain from above as the extension shows it at a tolerance, (48, 64) luminance."""
-    engine = BdamEngine(folder, ViewSettings(tolerance=tolerance, shading=shading, culling=False, exaggeration=2.0))
+    settings = ViewSettings(tolerance=tolerance, shading=shading, culling=False, exaggeration=2.0, curvature=curvature)
+    engine = BdamEngine(folder, settings)
     if not has_maps:
         engine.store.normals = None
     from_the_side = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, -1000.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
@@ -140,16 +158,22 @@ def test_coarse_triangles_are_shaded_like_the_finest_ones(tmp_path, kind):
     shading = "height" if kind == "plain" else "texture"
     if kind == "image":
         add_texture(folder, np.full((64, 64, 3), 180, np.uint8))
-    with render_scene("Normal Maps") as work:
-        prepare_cycles(work.scene, 4, 1)
-        work.scene.render.resolution_x, work.scene.render.resolution_y = 64, 48
-        work.camera.data.type, work.camera.data.ortho_scale, work.camera.data.clip_end = "ORTHO", 600.0, 1e4
-        work.camera.location.z = 1000.0
-        light = work.own(bpy.data.lights.new("Sun", "SUN"))
-        light.energy = 3.0
-        work.add_object(light).rotation_euler = (0.6, 0.4, 0.0)
+    with open_light_table() as work:
         full, most = render(work, folder, 0.1, shading, has_maps=False)
         mapped, few = render(work, folder, 30.0, shading)
         plain, _ = render(work, folder, 30.0, shading, has_maps=False)
     assert few < 0.2 * most
     assert full.std() > 0.05 and np.abs(mapped - full).mean() < 0.35 * np.abs(plain - full).mean()
+
+
+@pytest.mark.usefixtures("empty_scene")
+def test_curved_ground_is_shaded_as_curved_with_normal_maps_and_without(tmp_path, monkeypatch):
+    for module in (curvature, materials):
+        monkeypatch.setattr(module, "EARTH_RADIUS", 1500.0)
+    folder = build(tmp_path / "store", np.zeros((129, 129)))
+    with open_light_table() as work:
+        flat, _ = render(work, folder, 1.0)
+        mapped, _ = render(work, folder, 1.0, curvature=True)
+        plain, _ = render(work, folder, 1.0, has_maps=False, curvature=True)
+    assert flat.std() < 0.01 and plain.std() > 0.05
+    assert np.abs(mapped - plain).mean() < 0.1 * np.abs(plain - flat).mean()

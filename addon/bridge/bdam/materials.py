@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import bpy
 
+from ...core.bdam.settings import ViewSettings
+from ...core.bdam.store.curvature import EARTH_RADIUS
 from ...core.bdam.view.engine import BdamEngine
 from ...core.bdam.view.tile_maps import ShownMap, ShownMaps
 from ..shading.ground import DEFAULTS, add_ground
@@ -15,9 +17,9 @@ from ..shading.solid_view import show_color, show_image
 from ..sky import SHARED_SURFACE
 
 GROUND_VERSION = 2
-NORMAL_GROUP, NORMAL_VERSION, MIN_SQUARE = "Farfield Terrain Normal", 1, 1e-4
+NORMAL_GROUP, NORMAL_VERSION, MIN_SQUARE = "Farfield Terrain Normal", 2, 1e-4
 LEVEL_ATTRIBUTE = "terrain_level"  # attribute of faces: the level of the patch
-MATERIAL_KEY = "farfield_bdam_material"  # custom property of the material of a terrain: its shading
+MATERIAL_KEY = "farfield_bdam_material"  # custom property of the material of a terrain: its shading, and whether the ground is curved
 ROUGHNESS = 0.95
 LEVEL_COLOR_STEP = 0.381966  # between two levels; multiples of the golden ratio are far from each other
 SNOW_HEIGHT = 0.66  # Fraction of the height range at which snow begins.
@@ -52,12 +54,15 @@ class TileImages:
     normal: ImagePart | None
 
 
-def create_material(name: str, shading: str, root: bpy.types.Object, heights: tuple[float, float], cell_size: float) -> bpy.types.Material:
+def create_material(
+    name: str, shading: str, root: bpy.types.Object, heights: tuple[float, float], cell_size: float, curvature: float = 0.0
+) -> bpy.types.Material:
     """Create the material of a terrain below `root` for a shading other than "texture": "slope", "height" or "level".
 
     Its surface is a node group of its own, which the materials of tiles with normal maps share.
 
-    heights: lowest and highest height above the root, with exaggeration. cell_size: distance between samples.
+    heights: lowest and highest height above the root, with exaggeration. cell_size: distance between samples. curvature: the
+    exaggeration where the curvature of the Earth lowers the ground, which colors by height do not count; 0 where it does not.
     """
     material, builder = create_node_material(name)
     material[MATERIAL_KEY] = shading
@@ -65,7 +70,8 @@ def create_material(name: str, shading: str, root: bpy.types.Object, heights: tu
     surface = create_group(f"{SHARED_SURFACE}: {name}", (("Position", "Vector"), ("Normal", "Vector")), (("Shader", "Shader"),))
     inside = NodeBuilder(surface)
     inputs = inside.node("NodeGroupInput").outputs
-    shader = _fill_surface(inside, shading, inputs["Position"], inputs["Normal"], heights, cell_size)
+    position = _raise(inside, inputs["Position"], curvature / (2.0 * EARTH_RADIUS)) if curvature else inputs["Position"]
+    shader = _fill_surface(inside, shading, position, inputs["Normal"], heights, cell_size)
     inside.connect(shader, inside.node("NodeGroupOutput").inputs["Shader"])
     inside.arrange()
     _finish(builder, _place_surface(builder, surface, root, builder.node("ShaderNodeNewGeometry").outputs["Normal"]))
@@ -93,13 +99,21 @@ def _fill_surface(
     return _shade(builder, _color_by_height(builder, fraction), None, normal)
 
 
+def _raise(builder: NodeBuilder, position: bpy.types.NodeSocket, factor: float) -> bpy.types.NodeSocket:
+    """Return a position whose height is larger by the square of the distance from the center times a factor."""
+    level = builder.vector("MULTIPLY", position, (1.0, 1.0, 0.0))
+    squared = builder.vector("DOT_PRODUCT", level, level)
+    squared.node.label = "Curvature"
+    return builder.vector("ADD", position, builder.combine(0.0, 0.0, builder.math("MULTIPLY", squared, factor)))
+
+
 def create_tile_material(
-    name: str, maps: TileImages, exaggeration: float, surface: bpy.types.NodeTree | None, root: bpy.types.Object
+    name: str, maps: TileImages, settings: ViewSettings, surface: bpy.types.NodeTree | None, root: bpy.types.Object
 ) -> bpy.types.Material:
     """Create the material of one tile with a texture, a normal map, or both.
 
-    exaggeration: factor of heights that normals are shown with. surface: of tiles without a texture, see `create_material`. root: of their
-    terrain.
+    settings: how the terrain is shown, whose exaggeration and curvature count for normals. surface: of tiles without a texture, see
+    `create_material`. root: of their terrain.
     """
     material, builder = create_node_material(name)
     if maps.normal is None:
@@ -107,7 +121,10 @@ def create_tile_material(
     else:
         group = builder.node("ShaderNodeGroup", {"node_tree": _ensure_normal_group(), "width": 200.0})
         builder.connect(_add_image(builder, maps.normal, "Normals").outputs["Color"], group.inputs["Color"])
-        group.inputs["Exaggeration"].default_value = exaggeration
+        group.inputs["Exaggeration"].default_value = settings.exaggeration
+        if settings.curvature:
+            position = builder.node("ShaderNodeTexCoord", {"object": root}).outputs["Object"]
+            builder.connect(builder.vector("SCALE", position, 1.0 / EARTH_RADIUS), group.inputs["Tilt"])
         normal = group.outputs["Normal"]
     if maps.color is None:
         _finish(builder, _place_surface(builder, surface, root, normal))
@@ -188,7 +205,7 @@ def _fill_ground_group(builder: NodeBuilder) -> None:
 
 def _ensure_normal_group() -> bpy.types.NodeTree:
     """Return the group from colors of normal maps, see `sample_normals`, to normals in world space."""
-    inputs = (("Color", "Color"), ("Exaggeration", "Float"))
+    inputs = (("Color", "Color"), ("Exaggeration", "Float"), ("Tilt", "Vector"))
     return ensure_shared_group(NORMAL_GROUP, NORMAL_VERSION, inputs, (("Normal", "Vector"),), _fill_normal_group)
 
 
@@ -198,6 +215,8 @@ def _fill_normal_group(builder: NodeBuilder) -> None:
     x, y = (builder.math("SUBTRACT", builder.math("MULTIPLY", value, 2.0), 1.0) for value in (red, green))
     flat = builder.math("ADD", builder.math("MULTIPLY", x, x), builder.math("MULTIPLY", y, y))
     z = builder.math("SQRT", builder.math("MAXIMUM", builder.math("SUBTRACT", 1.0, flat), MIN_SQUARE))
+    tilts = builder.separate(inputs["Tilt"])  # by the curvature of the Earth
+    x, y = (builder.math("ADD", value, builder.math("MULTIPLY", z, tilt)) for value, tilt in zip((x, y), tilts[:2], strict=True))
     local = builder.combine(x, y, builder.math("DIVIDE", z, inputs["Exaggeration"]))
     normal = builder.vector("NORMALIZE", builder.vector_transform(local, "NORMAL", "OBJECT", "WORLD"))
     builder.connect(normal, builder.node("NodeGroupOutput").inputs["Normal"])
@@ -229,8 +248,9 @@ class TileMaterials:
 
     def __init__(self, engine: BdamEngine, root_name: str) -> None:
         """engine: of the store. root_name: of the terrain."""
-        self._store, self._exaggeration = engine.identity, engine.settings.exaggeration
-        self._identity = f"{engine.identity}|{root_name}|{engine.settings.shading}|{self._exaggeration:g}"
+        self._store, self._settings = engine.identity, engine.settings
+        shown = f"{self._settings.shading}|{self._settings.exaggeration:g}|{self._settings.curvature:d}"
+        self._identity = f"{engine.identity}|{root_name}|{shown}"
 
     def find(self, number: int) -> bpy.types.Material | None:
         """Return the material of the square `number`, None if there is none."""
@@ -247,7 +267,7 @@ class TileMaterials:
             return
         parts = {"color": shown.color, "alpha": shown.color, "normal": shown.normal}
         images = TileImages(**{kind: self._ensure_image(name, kind, part) for kind, part in parts.items()})
-        created = create_tile_material(f"{name} {shown.label}", images, self._exaggeration, surface, root)
+        created = create_tile_material(f"{name} {shown.label}", images, self._settings, surface, root)
         created[TEXTURE_KEY] = self._key(number)
 
     def _ensure_image(self, name: str, kind: str, shown: ShownMap | None) -> ImagePart | None:

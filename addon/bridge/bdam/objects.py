@@ -80,17 +80,21 @@ class SceneTerrain(TerrainRoot):
 
     def ensure_material(self, shading: str, engine: BdamEngine) -> bpy.types.Material:
         """Return its material for a shading; create it if there is none."""
-        key = f"{MATERIAL_NAMES}{shading}"
-        material = bpy.data.materials.get((str(self.root.get(key, "")), None)) or self._shown_material(shading)
-        if material is None or material.get(MATERIAL_KEY) != shading:
-            material = create_material(f"{self.name} {shading.title()}", shading, self.root, engine.heights, engine.store.header.cell_size)
+        kind = f"{shading} curved" if engine.settings.curvature and shading != "level" else shading
+        key = f"{MATERIAL_NAMES}{kind}"
+        material = bpy.data.materials.get((str(self.root.get(key, "")), None)) or self._shown_material(kind)
+        if material is None or material.get(MATERIAL_KEY) != kind:
+            exaggeration = engine.settings.exaggeration if engine.settings.curvature else 0.0
+            name = f"{self.name} {shading.title()}"
+            material = create_material(name, shading, self.root, engine.heights, engine.store.header.cell_size, exaggeration)
+            material[MATERIAL_KEY] = kind
         self.root[key] = material.name
         return material
 
-    def _shown_material(self, shading: str) -> bpy.types.Material | None:
-        """Return the material of a shading that a tile has, which the user may have renamed; None if there is none."""
+    def _shown_material(self, kind: str) -> bpy.types.Material | None:
+        """Return the material of a kind that a tile has, which the user may have renamed; None if there is none."""
         materials = [tile.data.materials[0] for tile in self.tiles().values() if tile.data.materials]
-        return next((item for item in materials if item is not None and item.get(MATERIAL_KEY) == shading), None)
+        return next((item for item in materials if item is not None and item.get(MATERIAL_KEY) == kind), None)
 
 
 def resolve_folder(path: str, library: bpy.types.Library | None, subject: str) -> Path:

@@ -198,7 +198,7 @@ class TextureTasks:
             header = StoreHeader(**content["header"])
             return plan, [_place_samples(SampleNormals(grid, header.create_frame(), header.height_step))], None
         segments = SegmentCache(CACHE_BYTES)
-        images = [open_image(GroundImage(**image), self._folder.path, segments) for image in content["images"]]
+        images = [open_image(GroundImage.from_json(image), self._folder.path, segments) for image in content["images"]]
         return plan, images, _place_samples(KnownSamples(grid)) if content["has_holes"] else None
 
 

@@ -14,6 +14,7 @@ from ...errors import FileError
 from ...files.backups import FileDamage
 from ...files.blocks import BlockReader
 from ..textures.store import TextureStore
+from .curvature import curve_levels, find_drop, find_drop_gradients
 from .leaf_grids import leaf_grid
 from .patch_codec import Patch, decode_patch
 from .patch_links import PatchLimits, find_leaf_squares, find_limits, join_bounds, link_patches
@@ -36,15 +37,16 @@ class TerrainStore(AbstractContextManager):
         textures: the texture tiles, None without.
         normals: the tiles of normal maps, None without; see `building.sample_normals`.
         file_damages: damages of files whose backup is used, and of backups.
+        is_curved: whether positions, bounds and errors are those of ground that the curvature of the Earth lowers.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, is_curved: bool = False) -> None:
         """Open the store in `folder`.
 
         Raises:
             FileError: it is no store, is damaged or unfinished, or was written by a newer version.
         """
-        self.folder = folder
+        self.folder, self.is_curved = folder, is_curved
         if find_structure(folder) is None:
             raise FileError(
                 f'"{folder}" is no terrain built by Farfield: it contains no file "{STRUCTURE_FILE}"; choose the folder of a terrain.'
@@ -57,7 +59,7 @@ class TerrainStore(AbstractContextManager):
         if (len(self._geometry), self._geometry.index_checksum) != (patch_count, self.header.geometry_checksum):
             self._geometry.close()
             raise FileError(f'"{folder / GEOMETRY_FILE}" and "{STRUCTURE_FILE}" belong to different terrains; build the terrain again.')
-        self.bounds, self.levels = join_bounds(self.levels)
+        self.bounds, self.levels = join_bounds(curve_levels(self.levels) if is_curved else self.levels)
         self.links = link_patches(self.levels)
         self.textures = self._open_tiles(TEXTURE_FOLDER) if self.header.has_texture else None
         self.normals = self._open_tiles(NORMALS_FOLDER) if self.header.has_normals else None
@@ -167,8 +169,15 @@ class TerrainStore(AbstractContextManager):
         return float(heights.min()) * self.header.height_step, float(heights.max()) * self.header.height_step
 
     def to_local(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """Return vertices at `x` and `y` in the grid with heights `z` in steps, (V,) each, in local meters, (V, 3) float64."""
-        return np.stack([*self.frame.to_local(x, y), z * self.header.height_step], axis=1)
+        """Return vertices at `x` and `y` in the grid with heights `z` in steps, of any shape, in local meters, (..., 3) float64."""
+        east, north = self.frame.to_local(x, y)
+        heights = z * self.header.height_step
+        return np.stack([east, north, heights - find_drop(east, north) if self.is_curved else heights], axis=-1)
+
+    def to_local_gradients(self, x: np.ndarray, y: np.ndarray, gradients: np.ndarray) -> np.ndarray:
+        """Return the derivatives (N, 2) float64 of local z along local x and y from `gradients` (N, 2), steps per cell, at samples (N,)."""
+        local = self.frame.to_local_gradients(x, y, gradients * self.header.height_step)
+        return local - find_drop_gradients(*self.frame.to_local(x, y)) if self.is_curved else local
 
     def corners_of(self, level: int, row: int) -> np.ndarray:
         """Return the corners (3, 2) int64 of a patch in the grid; see `Tree.corners_of`."""

@@ -84,7 +84,7 @@ class BdamEngine:
 
     Attributes:
         folder: the folder of the store.
-        settings: how the terrain is shown; if they are replaced, `invalidate` must be called.
+        settings: how the terrain is shown; if they are replaced, `invalidate` must be called. Curvature needs a new engine.
         store: the open store.
         identity: identifies the store and its content.
         finished_blocks: tiles that the current move has finished; every move starts with an empty queue.
@@ -98,7 +98,7 @@ class BdamEngine:
             FileError: it is missing, damaged or of a newer version.
         """
         self.folder, self.settings = folder, settings
-        self.store = TerrainStore(folder)
+        self.store = TerrainStore(folder, settings.curvature)
         self.identity = f"{folder}|{find_structure(folder).stat().st_mtime_ns}"
         self.finished_blocks: SimpleQueue[tuple[TileKey, TileBlock]] = SimpleQueue()
         self.figures: Figures | None = None
