@@ -10,9 +10,9 @@ import bpy
 import numpy as np
 
 from ..compat import read_node_input, set_node_input
-from ..core.scatter import plants
-from ..core.scatter.plants import Model
-from ..core.scatter.settings import ScatterSettings
+from ..core import plants
+from ..core.plants import Model
+from ..core.scatter import ScatterSettings
 from .active_camera import add_view
 from .geometry.geometry_nodes import TREE, GeometryBuilder
 from .geometry.mesh_arrays import write_attribute, write_triangles
@@ -101,7 +101,7 @@ KINDS = {
     "steppe": {"Dry Tufts": DRY_TUFTS, "Bushes": BUSHES, "Stones": STONES},
 }
 STONE, GREEN, BARK = (0.2, 0.18, 0.16), (0.09, 0.12, 0.035), (0.07, 0.05, 0.035)  # Scene-linear.
-GRASS_BRIGHTNESS, LEAF_BRIGHTNESS = 1.9, 1.7  # Of leaves in the light, relative to that of ground that shows them from afar.
+GRASS_BRIGHTNESS, LEAF_BRIGHTNESS = 1.9, 1.7  # Of plants, relative to the ground that shows them from a distance.
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from ..bridge import scatter
 from ..bridge.terrain_roots import TerrainRoot
 from ..core.errors import GeometryError
 from ..core.messages import list_first
-from ..core.scatter.settings import ScatterSettings
+from ..core.scatter import ScatterSettings
 from . import follow_tools, properties
 from .error_reports import report_message, reports_errors
 
@@ -30,11 +30,11 @@ class ScatterOperator:
         return not reason
 
 
-class FARFIELD_OT_add_scatter(ScatterOperator, bpy.types.Operator):
+class FARFIELD_OT_scatter_add(ScatterOperator, bpy.types.Operator):
     """Let plants grow and rocks lie on the active terrain, around the active camera. Each kind is an object with a Geometry Nodes modifier,
     whose assets can be replaced by yours"""
 
-    bl_idname = "farfield.add_scatter"
+    bl_idname = "farfield.scatter_add"
     bl_label = "Scatter Plants and Rocks"
     bl_options = {"REGISTER", "UNDO"}
     __annotations__ = properties.build_annotations(ScatterSettings, set())
@@ -52,10 +52,10 @@ class FARFIELD_OT_add_scatter(ScatterOperator, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class FARFIELD_OT_remove_scatter(ScatterOperator, bpy.types.Operator):
+class FARFIELD_OT_scatter_remove(ScatterOperator, bpy.types.Operator):
     """Remove all plants and rocks that were scattered on the active terrain"""
 
-    bl_idname = "farfield.remove_scatter"
+    bl_idname = "farfield.scatter_remove"
     bl_label = "Remove Scatter"
     bl_options = {"REGISTER", "UNDO"}
 
@@ -66,4 +66,4 @@ class FARFIELD_OT_remove_scatter(ScatterOperator, bpy.types.Operator):
         return {"FINISHED"}
 
 
-register, unregister = bpy.utils.register_classes_factory((FARFIELD_OT_add_scatter, FARFIELD_OT_remove_scatter))
+register, unregister = bpy.utils.register_classes_factory((FARFIELD_OT_scatter_add, FARFIELD_OT_scatter_remove))

@@ -11,6 +11,7 @@ from farfield.addon.bridge.bdam import objects as terrain_objects
 from farfield.addon.bridge.bdam.materials import find_surface
 from farfield.addon.bridge.bdam.objects import TerrainChange
 from farfield.addon.bridge.rendering.render_scene import prepare_cycles, render_scene
+from farfield.addon.core.bdam.building import texture_stage
 from farfield.addon.core.bdam.building.height_grid import HeightGrid, encode_heights
 from farfield.addon.core.bdam.building.sample_normals import SampleNormals
 from farfield.addon.core.bdam.building.terrain_build import build_terrain
@@ -177,3 +178,9 @@ def test_curved_ground_is_shaded_as_curved_with_normal_maps_and_without(tmp_path
         plain, _ = render(work, folder, 1.0, has_maps=False, curvature=True)
     assert flat.std() < 0.01 and plain.std() > 0.05
     assert np.abs(mapped - plain).mean() < 0.1 * np.abs(plain - flat).mean()
+
+
+def test_without_pillow_a_terrain_is_built_without_normal_maps(tmp_path, monkeypatch):
+    monkeypatch.setattr(texture_stage, "find_spec", lambda _: None)
+    with TerrainStore(build(tmp_path / "store", hills(33, 33))) as store:
+        assert store.normals is None

@@ -7,10 +7,10 @@ import pytest
 from farfield.addon.bridge import scatter, sky
 from farfield.addon.bridge.scatter import SCATTER_KEY, Layer
 from farfield.addon.compat import set_node_input
+from farfield.addon.core import plants
 from farfield.addon.core.clipbox.settings import ClipboxSettings
 from farfield.addon.core.jobs.progress import run_to_end
-from farfield.addon.core.scatter import plants
-from farfield.addon.core.scatter.settings import KINDS, ScatterSettings
+from farfield.addon.core.scatter import KINDS, ScatterSettings
 from farfield.addon.core.sky import SkySettings
 from farfield.addon.operators.clipbox.job import prepare
 from farfield.addon.operators.job_run import run_job
@@ -94,8 +94,8 @@ def test_places_stay_when_the_camera_moves(terrain, layer):
     after, _ = places(terrain)
 
     def near_both(matrices):
-        middle = np.array([-23.65, 3.0])
-        return matrices[np.linalg.norm(matrices[:, :2, 3] - middle, axis=1) < 0.45 * layer.distance]
+        midpoint = np.array([-23.65, 3.0])
+        return matrices[np.linalg.norm(matrices[:, :2, 3] - midpoint, axis=1) < 0.45 * layer.distance]
 
     assert len(near_both(before)) > 100 and np.allclose(near_both(before), near_both(after), atol=1e-4)
 

@@ -56,7 +56,7 @@ class BdamSettings(Settings):
     )
     texture_error: str = in_options("magnification", "What decides how fine textures must be", choices=TEXTURE_ERRORS)
     normal_maps: bool = in_options(
-        True, "Store the directions of all samples, so that coarse triangles are shaded like the finest ones; about 1.6 bytes per sample"
+        True, "Store the directions of all samples, so that coarse triangles are shaded like the finest ones; about 1.3 bytes per sample"
     )
     executor: str = in_options("processes", "Where patches are built: serial, processes, or processes:N for N at a time", in_presets=False)
 

@@ -26,7 +26,7 @@ from ..store.terrain_store import TEXTURE_FOLDER
 from .finish import write_geometry
 from .heights import choose_height_step, fill_holes, write_heights
 from .store_target import check_target, delete_work_folder, recover_store, replace_store, work_folder_path
-from .texture_stage import TextureWork, build_texture_tiles, decode_images, plan_maps, write_texture_store
+from .texture_stage import TextureWork, build_texture_tiles, decode_images, has_normal_maps, plan_maps, write_texture_store
 from .voids import VoidCounts, count_voids, fill_small_voids
 from .work_folder import ADVICE, HEIGHTS_FILE, PARAMETERS_FILE, BuildParameters, LevelLayout, WorkFolder
 
@@ -240,7 +240,7 @@ def _create_header(field: TerrainField, settings: BdamSettings, has_texture: boo
         field.frame.step,
         field.frame.origin,
         has_texture,
-        settings.normal_maps,
+        has_normal_maps(settings),
     )
 
 

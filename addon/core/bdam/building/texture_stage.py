@@ -5,6 +5,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -74,7 +75,12 @@ def plan_maps(field: TerrainField, tree: Tree, paths: Sequence[Path], settings: 
         FileError: see `place_images`.
     """
     textures = (_plan_textures(field, tree, paths, settings),) if paths else ()
-    return (*textures, _plan_normals(field, tree)) if settings.normal_maps else textures
+    return (*textures, _plan_normals(field, tree)) if has_normal_maps(settings) else textures
+
+
+def has_normal_maps(settings: BdamSettings) -> bool:
+    """Return whether normal maps are wanted and can be coded: Farfield also runs without Pillow."""
+    return settings.normal_maps and find_spec("PIL") is not None
 
 
 def _plan_textures(field: TerrainField, tree: Tree, paths: Sequence[Path], settings: BdamSettings) -> TextureWork:

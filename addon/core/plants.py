@@ -34,17 +34,17 @@ class Model:
 
 
 def grass(seed: int, blades: int, radius: float, height: float) -> Model:
-    """Return a tuft of `blades` in a circle with a radius, which bend outwards and are darker at the ground."""
+    """Return a tuft of `blades` in a circle with a radius, which droop outwards and are darker at the ground."""
     random = np.random.default_rng([seed, 1])
     angle, place = random.uniform(0.0, 2.0 * np.pi, blades), radius * np.sqrt(random.random(blades))
     roots = np.column_stack([place * np.cos(angle), place * np.sin(angle), np.full(blades, -0.02)])
     lengths = height * random.uniform(0.45, 1.1, blades)
     lean = angle + random.normal(0.0, 0.9, blades)
     outward = np.column_stack([np.cos(lean), np.sin(lean), np.zeros(blades)])
-    bend = random.uniform(0.15, 0.75, blades)
+    droop = random.uniform(0.15, 0.75, blades)
     along = BLADE_RINGS[None] * lengths[:, None]
-    points = roots[:, None] + outward[:, None] * (bend[:, None] * along * BLADE_RINGS)[..., None]
-    points[..., 2] += along * (1.0 - 0.35 * bend[:, None] * BLADE_RINGS)
+    points = roots[:, None] + outward[:, None] * (droop[:, None] * along * BLADE_RINGS)[..., None]
+    points[..., 2] += along * (1.0 - 0.35 * droop[:, None] * BLADE_RINGS)
     across = np.column_stack([-np.sin(lean), np.cos(lean), np.zeros(blades)]) * (0.018 * lengths + 0.0012)[:, None]
     wide = across[:, None] * np.array([1.0, 0.9, 0.55])[None, :, None]
     sides = np.stack([points[:, :3] - wide, points[:, :3] + wide], axis=2).reshape(blades, 6, 3)
@@ -205,8 +205,8 @@ def _split(vertices: np.ndarray, triangles: np.ndarray, roughness: float, random
     unique, numbers = np.unique(edges, axis=0, return_inverse=True)
     ends = vertices[unique]
     lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1, keepdims=True)
-    middle = ends.mean(axis=1) + random.normal(size=(len(unique), 3)) * roughness * lengths
+    midpoints = ends.mean(axis=1) + random.normal(size=(len(unique), 3)) * roughness * lengths
     a, b, c = (len(vertices) + numbers.reshape(-1, 3)).T
     corners = triangles.T
     parts = [(corners[0], a, c), (a, corners[1], b), (c, b, corners[2]), (a, b, c)]
-    return np.concatenate([vertices, middle]), np.concatenate([np.stack(part, axis=1) for part in parts])
+    return np.concatenate([vertices, midpoints]), np.concatenate([np.stack(part, axis=1) for part in parts])

@@ -1,8 +1,8 @@
-"""Settings of scattered plants and rocks."""
+"""Settings of plants and rocks that are scattered on landscapes."""
 
 from dataclasses import dataclass
 
-from ..settings import Choice, Settings, setting
+from .settings import Choice, Settings, setting
 
 KINDS = {
     "meadow": Choice("Meadow", "Grass, bushes and a few rocks"),

@@ -1,1 +1,0 @@
-"""What grows and lies on landscapes: plants and rocks, and where."""
