@@ -46,16 +46,16 @@ Ground = Callable[[np.ndarray, np.ndarray, float, Shape], Heights]  # Of positio
 
 def alps(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
     """Return high mountains with valleys that branch into gullies."""
-    massifs = warp(lambda x, y: sum_octaves(x, y, spacing, 30_000.0, 2, shape.seed), x, y, spacing, 12_000.0, 1_270.0, shape.seed + WARPS)
-    gullies = Gullies(7_000.0, 9, 0.08 * shape.erosion, 0.88, 0.2)
-    return carve_gullies(massifs.scale(1_060.0 * shape.ruggedness), x, y, spacing, gullies, shape.seed + GULLIES)
+    massifs = warp(lambda x, y: sum_octaves(x, y, spacing, 30_000.0, 3, shape.seed), x, y, spacing, 12_000.0, 1_270.0, shape.seed + WARPS)
+    gullies = Gullies(7_000.0, 9, 0.052 * shape.erosion, 0.96, 0.2)
+    return carve_gullies(massifs.scale(680.0 * shape.ruggedness), x, y, spacing, gullies, shape.seed + GULLIES)
 
 
 def hills(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
     """Return rounded hills with brooks between them."""
-    ground = warp(lambda x, y: sum_octaves(x, y, spacing, 2_400.0, 3, shape.seed, 0.4), x, y, spacing, 2_500.0, 177.0, shape.seed + WARPS)
-    gullies = Gullies(900.0, 5, 0.05 * shape.erosion, 0.75, 0.25)
-    return carve_gullies(ground.scale(78.0 * shape.ruggedness), x, y, spacing, gullies, shape.seed + GULLIES)
+    ground = warp(lambda x, y: sum_octaves(x, y, spacing, 9_600.0, 5, shape.seed, 0.5), x, y, spacing, 2_500.0, 177.0, shape.seed + WARPS)
+    gullies = Gullies(1_200.0, 5, 0.034 * shape.erosion, 0.6, 0.25)
+    return carve_gullies(ground.scale(185.0 * shape.ruggedness), x, y, spacing, gullies, shape.seed + GULLIES)
 
 
 def canyon(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
