@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .layout import IntBox
+from .layout import IntBox, box_slices
 from .meshing import surface_nets
 from .meshing.subdivision import PatchVertices, subdivide
 from .meshing.surface_nets import CornerVertices
 from .meshing.triangulation import polygon_normals, smooth, split_quads, triangulate_fans
-from .nested import NestedBoxes, box_slices
+from .nested import NestedBoxes
 
 BlockIndex = tuple[int, int, int]  # position of a block among the blocks of its level
 

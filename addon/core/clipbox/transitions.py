@@ -5,19 +5,19 @@ when boxes move. Densities are blended where the surface is extracted. Boxes sto
 Losasso and Hoppe, Geometry Clipmaps, 2004, section 4.3.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from .layout import IntBox
+from .layout import IntBox, box_slices
 from .meshing.surface_nets import have_one_sign
 from .terrains.grids import lerp_axis
 from .toroidal_grid import ToroidalGrid
 
-RESOLUTION_PER_WIDTH = 8  # Voxels along a side of a box per voxel of the transition at each of its ends.
+RESOLUTION_PER_WIDTH, MAX_WIDTH = 8, 8  # Voxels along a side of a box per voxel of the transition at its ends, and the most of these.
 NEAR, FAR = np.float32(0.75), np.float32(0.25)  # The weights of the two coarser voxels along an axis whose centers surround a voxel.
 MAX_DENSITY = 4.0  # Voxels to which densities are limited before they are blended. The closer to 0, the more slowly caves close.
-SMALLEST = np.float16(6.0e-8)  # Keeps positive densities positive in half precision.
 
 
 @dataclass(frozen=True)
@@ -40,33 +40,54 @@ class Transition:
         return IntBox(self.visible.low + self.width, self.visible.high - self.width)
 
     def blend_window(self, low: np.ndarray, window: np.ndarray) -> np.ndarray:
-        """Return a `window` (X, Y, Z) float16 of voxels from `low` (3,) on with blended densities. All lie in the visible part."""
+        """Return a `window` (X, Y, Z) float16 of visible voxels from `low` (3,) on, whose densities are blended in place.
+
+        If all densities, also the coarser ones, have one sign, they may stay as they are.
+        """
         high = low + window.shape
         coarse_low = (low - 1) // 2
         coarse = self.coarser.window(coarse_low, high // 2 + 1)
         if have_one_sign(window, coarse):
             return window
-        values, ramps = coarse.astype(np.float32), []
+        for first, last in self._split(low, high):
+            values, ramps = coarse[box_slices((first - 1) // 2 - coarse_low, last // 2 + 1 - coarse_low)].astype(np.float32), []
+            for axis in (2, 1, 0):  # The last one is the fastest.
+                voxels = np.arange(first[axis], last[axis])
+                below = (voxels - 1) // 2 - (first[axis] - 1) // 2
+                values = lerp_axis(values, below, below + 1, _coarser_weights(voxels), axis)
+                ramps.append(self._weights(self._distances(voxels, axis)))
+            weights = np.maximum(np.maximum(ramps[2][:, None, None], ramps[1][:, None]), ramps[0])
+            part = window[box_slices(first - low, last - low)]
+            part[...] = self._blend(part, values, weights)
+        return window
+
+    def _split(self, low: np.ndarray, high: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield the voxels `low` to `high` (3,) that are blended, as disjoint boxes."""
+        low, high, inner = low.copy(), high.copy(), self.unblended
         for axis in range(3):
-            voxels = np.arange(low[axis], high[axis])
-            below = (voxels - 1) // 2 - coarse_low[axis]
-            values = lerp_axis(values, below, below + 1, _coarser_weights(voxels), axis)
-            ramps.append(self._ramp(voxels, axis))
-        weights = np.maximum(np.maximum(ramps[0][:, None, None], ramps[1][:, None]), ramps[2])
-        return self._blend(window, values, weights)
+            start, stop = max(low[axis], inner.low[axis]), min(high[axis], inner.high[axis])
+            for first, last in ((low[axis], min(high[axis], start)), (max(stop, start), high[axis])):
+                if first < last:
+                    part_low, part_high = low.copy(), high.copy()
+                    part_low[axis], part_high[axis] = first, last
+                    yield part_low, part_high
+            if start >= stop:
+                return
+            low[axis], high[axis] = start, stop
 
     def blend_voxels(self, voxels: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Return the blended densities of `voxels` (..., 3) in the visible part, whose own densities are `values` (...) float16."""
-        weights = np.maximum(np.maximum(*(self._ramp(voxels[..., axis], axis) for axis in (0, 1))), self._ramp(voxels[..., 2], 2))
-        rows = np.nonzero(weights)
+        x, y, z = (self._distances(voxels[..., axis], axis) for axis in range(3))
+        distances = np.minimum(np.minimum(x, y), z)
+        rows = np.nonzero(distances < self.width)
         if len(rows[0]) == 0:
             return values
         chosen = voxels[rows]
         coarse = self.coarser.cells_at((chosen - 1) // 2).astype(np.float32)
-        for axis in range(3):
-            below, above = _coarser_weights(chosen[:, axis]).reshape(2, -1, *[1] * (2 - axis))
-            coarse = coarse[:, 0] * below + coarse[:, 1] * above
-        values[rows] = self._blend(values[rows], coarse, weights[rows])
+        for axis in (2, 1, 0):
+            below, above = _coarser_weights(chosen[:, axis]).reshape(2, -1, *[1] * axis)
+            coarse = coarse[..., 0] * below + coarse[..., 1] * above
+        values[rows] = self._blend(values[rows], coarse, self._weights(distances[rows]))
         return values
 
     def bounds(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -75,10 +96,13 @@ class Transition:
         highs = np.where(high > self.visible.high - self.width, self.visible.high, 0)
         return np.concatenate([lows, highs], axis=1)
 
-    def _ramp(self, voxels: np.ndarray, axis: int) -> np.ndarray:
-        """Return the weight of the coarser densities, by the distance from the ends of the visible part along one axis: 1 at the ends."""
-        distance = np.minimum(voxels - self.visible.low[axis], self.visible.high[axis] - 1 - voxels)
-        return np.maximum(np.float32(1.0) - distance.astype(np.float32) * np.float32(1.0 / self.width), np.float32(0.0))
+    def _distances(self, voxels: np.ndarray, axis: int) -> np.ndarray:
+        """Return how many voxels are between `voxels` and the nearer end of the visible part along an axis."""
+        return np.minimum(voxels - self.visible.low[axis], self.visible.high[axis] - 1 - voxels)
+
+    def _weights(self, distances: np.ndarray) -> np.ndarray:
+        """Return the weights of the coarser densities by the distance from the border: 1 at the border."""
+        return np.maximum(np.float32(1.0) - distances.astype(np.float32) * np.float32(1.0 / self.width), np.float32(0.0))
 
     def _blend(self, values: np.ndarray, coarse: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Return the mean of densities and coarser ones, float16, with weights."""
@@ -87,9 +111,7 @@ class Transition:
         blended -= fine
         blended *= weights
         blended += fine
-        half = blended.astype(np.float16)
-        half[(half == 0) & (blended > 0)] = SMALLEST
-        return np.where(weights > 0, half, values)
+        return blended.astype(np.float16)
 
 
 def _coarser_weights(voxels: np.ndarray) -> np.ndarray:
