@@ -18,6 +18,9 @@ LANDSCAPES = {
     "mesas": Choice("Mesas", "Table mountains with cliffs above scree"),
     "coast": Choice("Coast", "Cliffs, beaches and sea stacks, with the level of the sea at z = 0"),
     "dunes": Choice("Dunes", "Sand that the wind has piled up, gentle on its side and steep behind"),
+    "karst": Choice("Karst", "Towers of limestone on a plain, with sinkholes, and caves with columns"),
+    "arches": Choice("Arches", "Walls of red rock with arches"),
+    "alien": Choice("Alien", "Spires, and roots that wind through ground and air"),
 }
 TERRAINS = LANDSCAPES | {
     "cascades": Choice("Cascades", "Ridged mountains with overhangs, arches and caves"),

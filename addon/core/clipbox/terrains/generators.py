@@ -14,9 +14,10 @@ from ...errors import FileError, GeometryError
 from ..files.readers import READERS, Readers
 from ..meshing.surface_nets import REPAIR_MARGIN, is_solid, repair_voxels
 from ..settings import ClipboxSettings
+from .caverns import CARVINGS
 from .forest import build_forest
 from .formulas import Formula
-from .grids import DensityFunction, Grid
+from .grids import DensityFunction, Grid, smooth_minimum
 from .heights import build_heights
 from .landscapes import LANDSCAPES, build_landscape
 from .noise import fbm
@@ -106,24 +107,9 @@ def build_cascades(source: ClipboxSettings, _readers: Readers) -> DensityFunctio
         np.sqrt(tunnels, out=tunnels)
         tunnels -= np.float32(0.12)
         tunnels *= np.float32(60.0 * scale)
-        return _smooth_minimum(ground, tunnels, np.float32(max(8.0 * scale, 3.0 * grid.voxel_size)))
+        return smooth_minimum(ground, tunnels, np.float32(max(8.0 * scale, 3.0 * grid.voxel_size)))
 
     return densities
-
-
-def _smooth_minimum(first: np.ndarray, second: np.ndarray, width: np.float32) -> np.ndarray:
-    """Return the polynomial smooth minimum of two densities, which blends where they differ by less than `width`.
-
-    It rounds off the edges between them, which would show as jagged lines in voxels.
-    """
-    blend = np.abs(first - second)
-    np.subtract(width, blend, out=blend)
-    np.maximum(blend, np.float32(0.0), out=blend)
-    blend *= blend
-    blend /= 4.0 * width
-    minimum = np.minimum(first, second)
-    minimum -= blend
-    return minimum
 
 
 def build_islands(source: ClipboxSettings, _readers: Readers) -> DensityFunction:
@@ -170,7 +156,7 @@ def _preset(formula: str) -> Builder:
 
 
 BUILDERS: dict[str, Builder] = {
-    **dict.fromkeys(LANDSCAPES, lambda source, _readers: build_landscape(source)),
+    **dict.fromkeys(LANDSCAPES, lambda source, _readers: build_landscape(source, CARVINGS.get(source.terrain))),
     "cascades": build_cascades,
     "islands": build_islands,
     "spheres": build_spheres,
