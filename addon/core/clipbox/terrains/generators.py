@@ -15,6 +15,7 @@ from ..files.readers import READERS, Readers
 from ..meshing.surface_nets import REPAIR_MARGIN, is_solid, repair_voxels
 from ..settings import ClipboxSettings
 from .caverns import CARVINGS
+from .edits import NO_EDITS, Edits
 from .forest import build_forest
 from .formulas import Formula
 from .grids import DensityFunction, Grid, smooth_minimum
@@ -33,10 +34,11 @@ Builder = Callable[[ClipboxSettings, Readers], DensityFunction]
 
 @dataclass(frozen=True)
 class Sampler:
-    """A density function with checked results."""
+    """A density function with checked results, and what the user has added and subtracted."""
 
     name: str
     function: DensityFunction
+    edits: Edits = NO_EDITS
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -65,7 +67,7 @@ class Sampler:
         """
         try:
             values = np.asarray(self.function(grid))
-            values = np.broadcast_to(values, grid.shape)
+            values = self.edits.apply(grid, np.broadcast_to(values, grid.shape))
             clipped = np.clip(np.nan_to_num(values, nan=-1.0, posinf=MAX_DENSITY, neginf=-MAX_DENSITY), -MAX_DENSITY, MAX_DENSITY)
         except FUNCTION_ERRORS as error:
             position = ", ".join(f"{index * grid.voxel_size:g}" for index in grid.origin)
@@ -77,14 +79,14 @@ class Sampler:
         return half
 
 
-def build_sampler(source: ClipboxSettings, readers: Readers = READERS) -> Sampler:
+def build_sampler(source: ClipboxSettings, readers: Readers = READERS, edits: Edits = NO_EDITS) -> Sampler:
     """Build the density function of a terrain. Source files are read with the given readers.
 
     Raises:
         SettingsError, FileError: its formula or its source file cannot be read.
     """
     try:
-        return Sampler(source.terrain, BUILDERS[source.terrain](source, readers))
+        return Sampler(source.terrain, BUILDERS[source.terrain](source, readers), edits)
     except MemoryError:
         raise FileError(f'"{source.source}" needs more memory than is available; reduce its size.') from None
 
