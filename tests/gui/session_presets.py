@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not add
 from session import UserInput, module, open_panel_alone, results, save_screenshot, start_session, wait_for_job
 
 PRESET, CHOSEN = "Floating Islands", "Canyon"
-FIRST_BUTTON, BUTTON_HEIGHT = 72, 20  # Pixels from the picture in the menu of terrains down to the button of defaults, and to the next one.
+FIRST_BUTTON, BUTTON_HEIGHT = 87, 21  # Pixels from the picture in the menu of terrains down to the button of defaults, and to the next one.
 drawn: list[str] = []  # Terrains that the panel has shown, the latest last.
 DETAILS = (
     'Built "Hélm 頭" (860, 665, 575 triangles). Emission of the material "Visor" is left out. '

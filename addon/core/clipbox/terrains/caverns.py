@@ -4,7 +4,7 @@ import numpy as np
 
 from .grids import Grid, smooth_minimum
 from .hashing import hash_lattice, uniform_random
-from .height_noise import sum_octaves
+from .height_noise import resolve, sum_octaves
 from .landscapes import PLAIN_HEIGHT, Carving, Shape, fin_sides, find_plain, rise
 from .noise import fbm
 
@@ -17,13 +17,17 @@ HOLE_FRACTION = 0.7  # Of these places.
 HOLE_FOOT = 0.1  # Height of their centers above the plain, relative to half their height.
 CLOSED = 9.0  # The distance along a fin, relative to half the width of a hole, where there is none.
 HOLE_WIDTHS, HOLE_HEIGHTS = (11.0, 24.0), (16.0, 36.0)  # Half of them, from the smallest to the largest.
-ROOT_WAVELENGTHS, ROOT_RADIUS = (190.0, 170.0), 11.0
-ROOT_STEEPNESS = 68.0  # Meters from a root's axis per unit of its noise.
+ROOT_WAVELENGTHS, ROOT_RADIUS = (260.0, 230.0), 17.0
+ROOT_STEEPNESS = 92.0  # Meters from a root's axis per unit of its noise.
 EDGE = 3.0  # Rounds off edges.
 
 
 def carve_halls(grid: Grid, density: np.ndarray, shape: Shape) -> np.ndarray:
-    """Carve halls with columns into the ground, on floors one above the other."""
+    """Carve halls with columns into the ground, on floors one above the other. What voxels cannot resolve is lower, or is left out."""
+    shown = resolve(4.0 * HALL_HEIGHT, grid.voxel_size)
+    if shown == 0.0:
+        return density
+    lower = np.float32(HALL_HEIGHT + 2.0 * HALL_HEIGHT * (1.0 - shown) + 0.5 * grid.voxel_size)
     for number, (height, change) in enumerate(FLOORS):
         reach = HALL_HEIGHT + 1.5 * change + 3.0 * WALL_ROUGHNESS
         layers, part = _layers_between(grid, height - reach, height + reach)
@@ -35,7 +39,7 @@ def carve_halls(grid: Grid, density: np.ndarray, shape: Shape) -> np.ndarray:
         center = sum_octaves(x, y, spacing, 330.0, 2, seed + 4).scale(change)
         room = rise(sum_octaves(x, y, spacing, 150.0, 2, seed + 8, 0.4), 0.05, 0.25).scale(2.0 * HALL_HEIGHT)
         room = room.add(rise(sum_octaves(x, y, spacing, COLUMN_DISTANCE, 2, seed + 12, 0.4), 0.5, 0.14), -COLUMN_WIDTH)
-        half = room.height - np.float32(HALL_HEIGHT)
+        half = room.height - lower
         across = 1.0 / np.sqrt(1.0 + room.steepness**2)
         walls = ((np.abs(z - height - center.height[:, :, None]) - half[:, :, None]) * across[:, :, None]).astype(np.float32)
         walls += fbm(part, WALL_WAVELENGTH, 3, seed, squash=1.5) * np.float32(WALL_ROUGHNESS)
@@ -58,7 +62,8 @@ def carve_holes(grid: Grid, density: np.ndarray, shape: Shape) -> np.ndarray:
     width, height = (low + (high - low) * uniform_random(bits, index) for index, (low, high) in enumerate((HOLE_WIDTHS, HOLE_HEIGHTS)))
     margin = HOLE_WIDTHS[1] / HOLE_DISTANCE
     center = margin + (1.0 - 2.0 * margin) * uniform_random(bits, 2)
-    along = np.where(uniform_random(bits, 3) < HOLE_FRACTION, (shifted - places - center) * HOLE_DISTANCE / width, CLOSED)
+    is_open = (uniform_random(bits, 3) < HOLE_FRACTION) & (np.minimum(width, height) > grid.voxel_size)
+    along = np.where(is_open, (shifted - places - center) * HOLE_DISTANCE / width, CLOSED)
     up = (z - (plain + HOLE_FOOT * height)[:, :, None]) / height[:, :, None]
     walls = ((np.sqrt(along[:, :, None] ** 2 + up**2) - 1.0) * np.minimum(width, height)[:, :, None]).astype(np.float32)
     walls += fbm(part, WALL_WAVELENGTH, 3, shape.seed + CAVES, squash=1.5) * np.float32(0.7 * WALL_ROUGHNESS)
@@ -69,6 +74,8 @@ def carve_holes(grid: Grid, density: np.ndarray, shape: Shape) -> np.ndarray:
 
 def add_roots(grid: Grid, density: np.ndarray, shape: Shape) -> np.ndarray:
     """Add roots that wind through the ground and the air."""
+    if grid.voxel_size > ROOT_RADIUS:  # They cannot be resolved.
+        return density
     first = fbm(grid, ROOT_WAVELENGTHS[0], 2, shape.seed + CAVES, gain=0.3)
     second = fbm(grid, ROOT_WAVELENGTHS[1], 2, shape.seed + CAVES + 20, gain=0.3, squash=0.8)
     distance = np.hypot(first, second)
