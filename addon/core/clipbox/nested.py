@@ -123,15 +123,16 @@ class NestedBoxes:
         return transition.blend_window(low, window)
 
     def _visible_values(self, level: int, voxels: np.ndarray) -> np.ndarray:
-        """Return the values (...) of `voxels` (..., 3) in the visible part of a level."""
-        values, transition = self.grid(level).values_at(voxels), self.transition(level)
+        """Return the values (...) of `voxels` (..., 3) in the visible part of a level; of others, those of the nearest ones."""
+        visible, transition = self.layout.visible[level], self.transition(level)
+        values = self.grid(level).values_at(np.clip(voxels, visible.low, visible.high - 1))
         return values if transition is None else transition.blend_voxels(voxels, values)
 
     def gather_octants(self, level: int, corners: np.ndarray) -> CornerNeighborhood:
         """Return the octants of corners (K, 3) of a level's lattice, which lie in its visible part or on the boundary of that."""
         voxels = corners[:, None] + OCTANTS - 1
         visible, hole = self.layout.visible[level], self.hole(level)
-        values = self._visible_values(level, np.clip(voxels, visible.low, visible.high - 1))
+        values = self._visible_values(level, voxels)
         if self.closed and level == self.coarsest_level:
             values = np.where(visible.contains(voxels), values, -np.abs(values))
         centers = np.broadcast_to((OCTANTS - 0.5).astype(np.float32), voxels.shape).copy()

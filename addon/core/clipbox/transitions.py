@@ -1,12 +1,13 @@
 """The transition between boxes: towards its border, the densities of a box become those of the next coarser one.
 
-Without it, whatever only the finer box resolves, such as a cave, would end in a wall at the border, and all detail would change at once
-when boxes move. Densities are blended where the surface is extracted. Boxes store those of the terrain alone, which never change. After
+Without it, whatever only the finer box resolves, such as a cave, would end in a wall at the border. Detail that is smaller than a coarser
+voxel stays. Densities are blended where the surface is extracted. Boxes store those of the terrain alone, which never change. After
 Losasso and Hoppe, Geometry Clipmaps, 2004, section 4.3.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from .toroidal_grid import ToroidalGrid
 
 RESOLUTION_PER_WIDTH, MAX_WIDTH = 8, 8  # Voxels along a side of a box per voxel of the transition at its ends, and the most of these.
 NEAR, FAR = np.float32(0.75), np.float32(0.25)  # The weights of the two coarser voxels along an axis whose centers surround a voxel.
+MAX_DETAIL = 2.0  # Voxels by which densities may differ from coarser ones even at the border, where they would change with every move.
 MAX_DENSITY = 4.0  # Voxels to which densities are limited before they are blended. The closer to 0, the more slowly caves close.
 
 
@@ -52,10 +54,9 @@ class Transition:
         for first, last in self._split(low, high):
             values, ramps = coarse[box_slices((first - 1) // 2 - coarse_low, last // 2 + 1 - coarse_low)].astype(np.float32), []
             for axis in (2, 1, 0):  # The last one is the fastest.
-                voxels = np.arange(first[axis], last[axis])
-                below = (voxels - 1) // 2 - (first[axis] - 1) // 2
-                values = lerp_axis(values, below, below + 1, _coarser_weights(voxels), axis)
-                ramps.append(self._weights(self._distances(voxels, axis)))
+                below, above, weights = _locate_coarser(int(first[axis] & 1), int(last[axis] - first[axis]))
+                values = lerp_axis(values, below, above, weights, axis)
+                ramps.append(self._weights(self._distances(np.arange(first[axis], last[axis]), axis)))
             weights = np.maximum(np.maximum(ramps[2][:, None, None], ramps[1][:, None]), ramps[0])
             part = window[box_slices(first - low, last - low)]
             part[...] = self._blend(part, values, weights)
@@ -76,10 +77,10 @@ class Transition:
             low[axis], high[axis] = start, stop
 
     def blend_voxels(self, voxels: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Return the blended densities of `voxels` (..., 3) in the visible part, whose own densities are `values` (...) float16."""
+        """Return the blended densities of `voxels` (..., 3), whose own densities are `values` (...) float16. Hidden ones stay."""
         x, y, z = (self._distances(voxels[..., axis], axis) for axis in range(3))
         distances = np.minimum(np.minimum(x, y), z)
-        rows = np.nonzero(distances < self.width)
+        rows = np.nonzero((distances >= 0) & (distances < self.width))
         if len(rows[0]) == 0:
             return values
         chosen = voxels[rows]
@@ -104,14 +105,33 @@ class Transition:
         """Return the weights of the coarser densities by the distance from the border: 1 at the border."""
         return np.maximum(np.float32(1.0) - distances.astype(np.float32) * np.float32(1.0 / self.width), np.float32(0.0))
 
-    def _blend(self, values: np.ndarray, coarse: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Return the mean of densities and coarser ones, float16, with weights."""
+    def _limit(self, densities: np.ndarray) -> np.ndarray:
+        """Return densities as float32, limited to `MAX_DENSITY`."""
         limit = np.float32(MAX_DENSITY * 0.5 * self.coarser.voxel_size)
-        fine, blended = np.clip(values, -limit, limit, dtype=np.float32), np.clip(coarse, -limit, limit)
-        blended -= fine
-        blended *= weights
-        blended += fine
-        return blended.astype(np.float16)
+        return np.clip(densities, -limit, limit, dtype=np.float32)
+
+    def _blend(self, values: np.ndarray, coarse: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Return densities, float16, that have gone from `values` to coarser ones by `weights`, except for differences that are detail."""
+        fine, detail = self._limit(values), np.float32(MAX_DETAIL * 0.5 * self.coarser.voxel_size)
+        change = self._limit(coarse) - fine
+        change -= np.clip(change, -detail, detail)
+        is_changed = change != 0.0
+        if not is_changed.any():
+            return values
+        change *= weights
+        change += fine
+        return np.where(is_changed, change.astype(np.float16), values)
+
+
+@lru_cache(maxsize=512)
+def _locate_coarser(parity: int, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the coarser voxels (N,) below and above `count` voxels, counted from the first one below, and their weights (2, N).
+
+    parity: 1 if the first of the voxels has an odd index, otherwise 0.
+    """
+    voxels = np.arange(parity, parity + count)
+    below = (voxels - 1) // 2 - (parity - 1) // 2
+    return below, below + 1, _coarser_weights(voxels)
 
 
 def _coarser_weights(voxels: np.ndarray) -> np.ndarray:
