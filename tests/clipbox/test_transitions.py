@@ -41,12 +41,12 @@ def test_a_tunnel_narrows_and_closes_before_the_border():
 
 @pytest.mark.parametrize("terrain", ["tunnel", "cascades", "spheres"])
 def test_no_box_ends_in_a_wall(terrain, monkeypatch):
-    source = settings(terrain="spheres" if terrain == "spheres" else "cascades", boxes=5, resolution=48)
+    source = settings(terrain="spheres" if terrain == "spheres" else "cascades", boxes=4, resolution=48)
     sampler = Sampler("tunnel", tunnel_in_fine_boxes) if terrain == "tunnel" else build_sampler(source)
-    viewers = [find_clearing(sampler, np.array([x, 40.0, -40.0]), 1.0) for x in (0.0, 180.0)] if terrain != "tunnel" else [np.zeros(3)]
+    viewers = [np.zeros(3) if terrain == "tunnel" else find_clearing(sampler, np.array([180.0, 40.0, -40.0]), 1.0)]
     assert sum(box["walls"] for box in count_walls(sampler, source, viewers)) == 0
     monkeypatch.setattr(NestedBoxes, "transition", lambda *_: None)
-    assert sum(box["walls"] for box in count_walls(sampler, source, viewers)) > 20
+    assert sum(box["walls"] for box in count_walls(sampler, source, viewers)) > 10
 
 
 def test_densities_of_voxels_are_those_of_windows():
