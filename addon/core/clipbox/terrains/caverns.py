@@ -5,7 +5,7 @@ import numpy as np
 from .grids import Grid, smooth_minimum
 from .hashing import hash_lattice, uniform_random
 from .height_noise import resolve, sum_octaves
-from .landscapes import PLAIN_HEIGHT, Carving, Shape, fin_sides, find_plain, rise
+from .landscapes import PLAIN_HEIGHT, Carving, Shape, fin_sides, find_fins, find_plain, rise
 from .noise import fbm
 
 CAVES = 300  # Added to the seed.
@@ -15,6 +15,8 @@ WALL_ROUGHNESS, WALL_WAVELENGTH = 3.0, 22.0
 HOLE_DISTANCE = 84.0  # Between places for holes along a fin.
 HOLE_FRACTION = 0.7  # Of these places.
 HOLE_FOOT = 0.1  # Height of their centers above the plain, relative to half their height.
+HOLE_MARGIN = 1.0  # Of a fin on both sides of the center of a hole, relative to half its width.
+MIN_FIN, MAX_FIN = 0.05, 0.25  # Heights of a fin there, relative to the highest, at which a hole closes, and from which on it is in full.
 CLOSED = 9.0  # The distance along a fin, relative to half the width of a hole, where there is none.
 HOLE_WIDTHS, HOLE_HEIGHTS = (11.0, 24.0), (16.0, 36.0)  # Half of them, from the smallest to the largest.
 ROOT_WAVELENGTHS, ROOT_RADIUS = (260.0, 230.0), 17.0
@@ -62,8 +64,12 @@ def carve_holes(grid: Grid, density: np.ndarray, shape: Shape) -> np.ndarray:
     width, height = (low + (high - low) * uniform_random(bits, index) for index, (low, high) in enumerate((HOLE_WIDTHS, HOLE_HEIGHTS)))
     margin = HOLE_WIDTHS[1] / HOLE_DISTANCE
     center = margin + (1.0 - 2.0 * margin) * uniform_random(bits, 2)
+    offset = (shifted - places - center) * HOLE_DISTANCE
+    ends = [find_fins(x, y - offset + side * HOLE_MARGIN * width, grid.voxel_size, shape).height for side in (-1.0, 1.0)]
+    size = np.clip((np.minimum(*ends) - MIN_FIN) / (MAX_FIN - MIN_FIN), 1e-3, 1.0)  # Holes narrow where fins end.
+    width, height = size * width, size * height
     is_open = (uniform_random(bits, 3) < HOLE_FRACTION) & (np.minimum(width, height) > grid.voxel_size)
-    along = np.where(is_open, (shifted - places - center) * HOLE_DISTANCE / width, CLOSED)
+    along = np.where(is_open, offset / width, CLOSED)
     up = (z - (plain + HOLE_FOOT * height)[:, :, None]) / height[:, :, None]
     walls = ((np.sqrt(along[:, :, None] ** 2 + up**2) - 1.0) * np.minimum(width, height)[:, :, None]).astype(np.float32)
     walls += fbm(part, WALL_WAVELENGTH, 3, shape.seed + CAVES, squash=1.5) * np.float32(0.7 * WALL_ROUGHNESS)

@@ -129,13 +129,17 @@ def arches(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Height
     """Return fins: walls of rock side by side on a plain."""
     sides = fin_sides(x, y, spacing, shape)
     walls = rise(sides.map(np.sin(sides.height), np.cos(sides.height)), 0.5, 0.13)
-    places = sum_octaves(x, y, spacing, 380.0, 3, shape.seed, 0.5)
     tops = sum_octaves(x, y, spacing, 120.0, 3, shape.seed + MORE, 0.5)
-    tall = rise(places, -0.02, 0.13).multiply(tops.map(1.0 + 0.3 * tops.height, np.full_like(tops.height, 0.3)))
+    tall = find_fins(x, y, spacing, shape).multiply(tops.map(1.0 + 0.3 * tops.height, np.full_like(tops.height, 0.3)))
     plain = find_plain(x, y, spacing, shape)
     ground = plain.add(walls.multiply(tall), FIN_HEIGHT * shape.ruggedness)
     ground = carve_gullies(ground, x, y, spacing, Gullies(60.0, 4, 0.06 * shape.erosion, 0.8, 0.7), shape.seed + GULLIES)
     return _layers(ground, 13.0, 0.45)
+
+
+def find_fins(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
+    """Return where the fins of *Arches* are: from 0 to 1."""
+    return rise(sum_octaves(x, y, spacing, 380.0, 3, shape.seed, 0.5), -0.02, 0.13)
 
 
 def fin_sides(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
