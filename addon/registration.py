@@ -1,6 +1,6 @@
 """Registration of all operators, properties and panels with Blender, unregistered in reverse order."""
 
-from .operators import documentation, follow_handlers, image_editors, long_work, presets, results, sky, source_tracking, user_cache
+from .operators import documentation, follow_handlers, image_editors, long_work, presets, results, scatter, sky, source_tracking, user_cache
 from .operators.bdam import build as bdam_build
 from .operators.bdam import freeze as bdam_freeze
 from .operators.bdam import ground as bdam_ground
@@ -49,6 +49,7 @@ MODULES = (
     documentation,
     follow_handlers,
     image_editors,
+    scatter,
     sky,
     source_tracking,
     user_cache,

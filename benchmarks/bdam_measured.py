@@ -42,6 +42,7 @@ def main(arguments: list[str], _line: command_line.ProgressLine) -> str:
     parser.add_argument("--out", type=run_files.parse_path, help="the store to build, or the picture")
     parser.add_argument("--tolerance", type=float, default=1.0, help="pixels, of the cut that is rendered; 0 for all samples")
     parser.add_argument("--render-seed", type=int, default=0, help="of the noise of the render")
+    parser.add_argument("--normal-maps", action="store_true", help="render with the normal maps of the store")
     parser.add_argument("--image", type=run_files.parse_path, help="the texture of the build")
     parser.add_argument("--executor", default="processes", help="of the build")
     parser.add_argument("--size", type=int, default=0, help="samples per side of the terrain that is flown over")
@@ -120,7 +121,7 @@ def memory_mb(name: str) -> float:
 
 def render(given: Namespace) -> dict[str, Any]:
     """Render a frame of the fly-over."""
-    return render_view(given.path, given.out, given.tolerance, FractalTerrain(given.size, given.seed), given.render_seed)
+    return render_view(given.path, given.out, given.tolerance, FractalTerrain(given.size, given.seed), given.render_seed, given.normal_maps)
 
 
 WORK = {"build": build, "fly": fly, "render": render}

@@ -9,17 +9,18 @@ from typing import Any
 import bpy
 import numpy as np
 from bdam_builds import measure_process
-from bdam_stores import Workplace, build_cut_mesh, build_fractal
+from bdam_stores import Workplace, build_fractal
 from bdam_terrains import FractalTerrain
 from bdam_views import FIELD_OF_VIEW, SIZE, fly_over
 
-from farfield.addon.bridge.geometry.mesh_pool import fill_mesh
+from farfield.addon.bridge.bdam.objects import TerrainChange, create_root
 from farfield.addon.bridge.rendering.render_scene import RenderScene, prepare_cycles, render_scene
+from farfield.addon.core.bdam.settings import ViewSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
-from farfield.addon.core.bdam.view.caches import PatchCache
-from farfield.addon.core.bdam.view.extraction import CutSettings, extract_cut
+from farfield.addon.core.bdam.view.engine import BdamEngine
 from farfield.addon.core.geometry.viewers import Viewer
 from farfield.addon.core.imaging.colors import encode_signed_srgb
+from farfield.addon.core.jobs.progress import run_to_end
 from lib.flip_metric import mean_flip
 
 MAX_SIZE = 4097  # a full grid of more samples does not fit into the memory of small machines
@@ -27,12 +28,13 @@ SAMPLES = 32
 FRAME = 100  # This frame of the fly-over is rendered.
 SUN_DIRECTION, SUN_STRENGTH, SKY = (0.5, -0.4, 0.5), 2.0, 0.3
 FLIP_BOUND = 0.02
-TOLERANCES = (1.0, 0.5, 0.25)  # pixels
+TOLERANCES = (3.0, 2.0, 1.0, 0.5)  # pixels
 COSTS = ("seconds", "mesh_seconds", "render_seconds", "cpu_seconds", "peak_memory_above_imports_mb")
 
 
 def measure_full_grid(given: Namespace, workplace: Workplace) -> dict[str, Any]:
-    """Compare a full grid with cuts: seconds and memory of processes that make the mesh and render it, and FLIP of the pictures.
+    """Compare a full grid with cuts as the extension shows them, with their normal maps and without: seconds and memory of processes that
+    make the meshes and render them, and FLIP of the pictures. All have the material of the terrain, colored by height.
 
     The noise of the renders alone makes a difference, which is that of two pictures of the full grid.
     """
@@ -42,13 +44,11 @@ def measure_full_grid(given: Namespace, workplace: Workplace) -> dict[str, Any]:
     pictures = []
     with tempfile.TemporaryDirectory(prefix="farfield-benchmark-") as folder:
         out = Path(folder) / "picture.npy"
-        for name, tolerance, render_seed in [
-            ("full", 0.0, 0),
-            ("full_again", 0.0, 1),
-            *((f"cut_{each:g}", each, 0) for each in TOLERANCES),
-        ]:
+        cuts = [(f"cut_{each:g}{'' if has_maps else '_plain'}", each, 0, has_maps) for has_maps in (True, False) for each in TOLERANCES]
+        for name, tolerance, render_seed, has_maps in [("full", 0.0, 0, False), ("full_again", 0.0, 1, False), *cuts]:
             flags = ["--tolerance", str(tolerance), "--out", str(out), "--size", str(size), "--seed", str(given.seed)]
             command = ["render", str(workplace.folder / f"fractal-{size}"), *flags, "--render-seed", str(render_seed)]
+            command += ["--normal-maps"] if has_maps else []
             figures[name] = measure_process(command)
             pictures.append(np.load(out, allow_pickle=False))
             if tolerance:
@@ -62,28 +62,43 @@ def measure_full_grid(given: Namespace, workplace: Workplace) -> dict[str, Any]:
     return figures
 
 
-def render_view(store_folder: Path, out: Path, tolerance: float, terrain: FractalTerrain, render_seed: int) -> dict[str, Any]:
+def render_view(
+    store_folder: Path, out: Path, tolerance: float, terrain: FractalTerrain, render_seed: int, has_maps: bool
+) -> dict[str, Any]:
     """Render one frame of the fly-over of a terrain, and write the picture (H, W, 3) float32, sRGB from 0 to 1.
 
-    tolerance: pixels, of the cut that is rendered; 0 for all samples with the smooth normals of Blender.
+    tolerance: pixels, of the cut that is rendered; 0 for all samples with the smooth normals of Blender. has_maps: whether the normal maps
+    of the store are used.
     """
-    with TerrainStore(store_folder) as store, render_scene("Farfield Terrain") as work:
+    settings = ViewSettings(tolerance=tolerance or 1.0, shading="height", triangle_budget=0, culling=False)
+    engine = BdamEngine(store_folder, settings)
+    store = engine.store
+    if not has_maps:
+        store.normals = None
+    with render_scene("Farfield Terrain") as work:
         viewer = list(fly_over(terrain, store))[FRAME]
         started = time.perf_counter()
-        data = work.own(bpy.data.meshes.new("Terrain"))
+        root = create_root(work.scene, str(store_folder), engine)
         if tolerance == 0.0:
+            data = work.own(bpy.data.meshes.new("Terrain"))
             fill_with_grid(data, terrain, store)
+            data.materials.append(root.ensure_material(settings.shading, engine))
+            work.add_object(data)
+            triangles = 2 * (terrain.size - 1) ** 2
         else:
-            cut = build_cut_mesh(PatchCache(store), extract_cut(store, viewer, CutSettings(tolerance)))
-            fill_mesh(data, cut.positions, cut.triangles, cut.normals)
-        work.add_object(data)
+            change, update = TerrainChange(root, engine), run_to_end(engine.move(viewer))
+            while not engine.finished_blocks.empty():
+                for _ in change.fill(*engine.finished_blocks.get_nowait()):
+                    pass
+            for _ in change.show(update):
+                pass
+            triangles = update.figures.triangles
         mesh_seconds = time.perf_counter() - started
         prepare_view(work, viewer)
         work.scene.cycles.seed = render_seed
         picture = work.render()[..., :3]
         np.save(out, np.clip(encode_signed_srgb(picture), 0.0, 1.0).astype(np.float32))
         render_seconds = work.render_seconds
-        triangles = len(data.loop_triangles) or len(data.polygons)
     return {"triangles": triangles, "mesh_seconds": round(mesh_seconds, 2), "render_seconds": round(render_seconds, 2)}
 
 

@@ -11,7 +11,8 @@ import numpy as np
 
 from farfield.addon.bridge.btf.export.octahedral_capture import capture_atlas
 from farfield.addon.bridge.btf.export.octahedral_files import create_atlas_images
-from farfield.addon.bridge.distance.level_switch import TREE, GeometryBuilder, level_modifiers
+from farfield.addon.bridge.distance.level_switch import level_modifiers
+from farfield.addon.bridge.geometry.geometry_nodes import TREE, GeometryBuilder
 from farfield.addon.bridge.geometry.mesh_arrays import write_triangles, write_uvs
 from farfield.addon.bridge.geometry.meshes import read_source
 from farfield.addon.bridge.shading.node_builder import create_group, create_node_material

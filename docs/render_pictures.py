@@ -4,16 +4,18 @@ From the scene of the demo: tree (the tree and its cloud), levels (all levels, t
 (hundreds of trees, each with the level for its distance) and crossfade (a camera that moves away from one tree). Copied from the demo's
 folder: relighting, forest, photos, terrain and texmesh. Independent of the demo: head (a closed surface with a procedural material),
 relight (its relightable cloud under several Sun directions), unwrap (this surface with a checker on three UV maps), restore (a texture with
-a hole, restored with several settings), landscape, desert and coast (mountains, mesas and cliffs in nested boxes), copses (voxel trees in
-nested boxes) and walk (twelve frames of a walk through caves), cliffs (a terrain with cliffs as a network of triangles and as right
-triangles), distance (a valley that was made distance-ready, half of it colored by level) and flight (the same as an animation).
+a hole, restored with several settings), landscape, desert and coast (mountains, mesas and cliffs in nested boxes), woods and steppe (with
+plants on them), copses (voxel trees in nested boxes) and walk (twelve frames of a walk through caves), cliffs (a terrain with cliffs as a
+network of triangles and as right triangles), distance (a valley that was made distance-ready, half of it colored by level) and flight (the
+same as an animation).
 """
 
 import io
 import shutil
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "scripts"))
@@ -199,28 +201,10 @@ def restore(_scene: Path, path: Path, _samples: int) -> None:
     write(path, draw_restore_comparison(RESTORE_PIXELS))
 
 
-def landscape(_scene: Path, path: Path, _samples: int) -> None:
-    """Render mountains in nested boxes."""
+def render_wide(view: Callable[[Path, int, int], None], _scene: Path, path: Path, _samples: int) -> None:
+    """Render a view of terrain in nested boxes."""
     with atomic_file(path) as temporary:
-        terrain_views.landscape(temporary, WIDE_PIXELS, WIDE_SAMPLES)
-
-
-def desert(_scene: Path, path: Path, _samples: int) -> None:
-    """Render table mountains in nested boxes."""
-    with atomic_file(path) as temporary:
-        terrain_views.desert(temporary, WIDE_PIXELS, WIDE_SAMPLES)
-
-
-def coast(_scene: Path, path: Path, _samples: int) -> None:
-    """Render cliffs and the sea in nested boxes."""
-    with atomic_file(path) as temporary:
-        terrain_views.coast(temporary, WIDE_PIXELS, WIDE_SAMPLES)
-
-
-def copses(_scene: Path, path: Path, _samples: int) -> None:
-    """Render copies of a voxel tree in nested boxes."""
-    with atomic_file(path) as temporary:
-        terrain_views.copses(temporary, WIDE_PIXELS, WIDE_SAMPLES)
+        view(temporary, WIDE_PIXELS, WIDE_SAMPLES)
 
 
 def walk(_scene: Path, path: Path, samples: int) -> None:
@@ -287,10 +271,7 @@ FIGURES = {
     "crossfade": crossfade,
     "relight": relight,
     "restore": restore,
-    "landscape": landscape,
-    "desert": desert,
-    "coast": coast,
-    "copses": copses,
+    **{name: partial(render_wide, view) for name, view in terrain_views.VIEWS.items()},
     "walk": walk,
     "cliffs": cliffs,
     "distance": distance,

@@ -1,14 +1,15 @@
 """Large terrain in a folder, a store: `python3 scripts/bdam.py build INPUT... --out STORE`, and `info`, `verify` and `extract` of a STORE.
 
 `build` makes a store from elevation models and, with --texture, from images of the ground; if it was interrupted, the same command
-continues. `extract` writes the mesh that a camera needs: .ply (double precision), .obj (text), both in local meters of the store, or .blend
-(a scene whose terrain can follow a viewer where Farfield is installed).
+continues. `extract` writes the mesh that a camera needs: .ply (double precision), .obj or .glb (with textures), all in local meters of the
+store, or .blend (a scene with the camera, a Sun and sky, whose terrain can follow a viewer where Farfield is installed).
 `blender --background --python scripts/bdam.py -- build INPUT...` does the same.
 """
 
 import math
 import sys
 from argparse import ArgumentParser, Namespace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +21,11 @@ environment.ensure(exits_on_signals=True)
 environment.import_farfield()
 
 import bpy
+import mathutils
 import numpy as np
 
 from farfield.addon.bridge.imaging.images import read_gray_image
+from farfield.addon.bridge.sky import add_sky
 from farfield.addon.core.bdam import (
     BdamSettings,
     CutSettings,
@@ -36,24 +39,31 @@ from farfield.addon.core.bdam import (
 from farfield.addon.core.bdam.building.store_target import check_target
 from farfield.addon.core.bdam.fields.terrain_field import warn_of_heights
 from farfield.addon.core.bdam.settings import ViewSettings
+from farfield.addon.core.bdam.view.cut_files import encode_glb, has_alpha, read_texture
 from farfield.addon.core.bdam.view.engine import BdamEngine
 from farfield.addon.core.errors import FileError, SettingsError
+from farfield.addon.core.files.complete_files import PNG_SIGNATURE
 from farfield.addon.core.files.file_access import folder_bytes
+from farfield.addon.core.files.filenames import material_path
+from farfield.addon.core.files.outputs import OBJ_COMMENT, Output, is_named_by
 from farfield.addon.core.files.scratch import Scratch
 from farfield.addon.core.geometry.viewers import Projection, Viewer, camera_window, look_at
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
-from farfield.addon.core.messages import list_first
+from farfield.addon.core.messages import join_sentences, list_first
 from farfield.addon.core.settings import add_flags
+from farfield.addon.core.sky import SkySettings
 from farfield.addon.operators.bdam.job import ShowJob
 from farfield.addon.operators.job_run import run_job
+from farfield.addon.operators.sky import add_haze
 from lib import command_line, run_files, scene_files
-from lib.atomic_output import atomic_file
+from lib.atomic_output import atomic_file, atomic_folder
 from lib.executors import DASK_HELP, open_executor
-from lib.mesh_export import write_obj, write_ply
+from lib.mesh_export import ObjPart, write_obj, write_ply
+from lib.run_files import obj_materials
 from lib.script_stdout import mute_stderr
 
 STORE = run_files.PathType(is_output=True, is_folder=True, is_exclusive=True, check=check_target)
-EXTENSIONS = (".blend", ".ply", ".obj")
+EXTENSIONS = (".blend", ".ply", ".obj", ".glb")
 MAX_KEPT_BYTES = 64 << 20  # Images of heights up to this size stay in memory.
 MAX_SIDE = 65536  # pixels of an image
 MAX_NAMED = 5  # damaged parts that a message names
@@ -89,7 +99,7 @@ def build_parser() -> command_line.Parser:
     extract.add_argument("--size", default="800x600", help="width and height of the image in pixels (default: 800x600)")
     extract.add_argument("--tolerance", default="1", help="largest error in pixels (default: 1)")
     extract.add_argument(
-        "--out", type=run_files.OUTPUT.ending_in(*EXTENSIONS), required=True, help="the file to write: .ply, .obj or .blend"
+        "--out", type=run_files.OUTPUT.ending_in(*EXTENSIONS), required=True, help="the file to write: .ply, .obj, .glb or .blend"
     )
     return parser
 
@@ -127,6 +137,8 @@ def build(given: Namespace, line: command_line.ProgressLine) -> str:
         "rows": report.rows,
         "columns": report.columns,
         "holes": report.holes,
+        "voids_filled": report.voids.filled,
+        "voids_left": report.voids.left,
         "triangles": report.triangles,
         "patches": report.patches,
         "tiles": report.tiles,
@@ -139,7 +151,7 @@ def build(given: Namespace, line: command_line.ProgressLine) -> str:
     summary = (
         f'"{given.out.name}": {report.columns:,} by {report.rows:,} heights in {report.patches:,} patches, {report.bytes / 1e6:,.1f} MB.'
     )
-    return " ".join([summary, *report.warnings])
+    return join_sentences([summary, report.describe_voids(), *report.warnings])
 
 
 def show_info(given: Namespace) -> str:
@@ -206,6 +218,7 @@ def verify(given: Namespace) -> str:
 def extract(given: Namespace, line: command_line.ProgressLine) -> str:
     """Write the mesh that a camera needs."""
     out = given.out.absolute()
+    extension = out.suffix.lower()
     tolerance = parse_number(given.tolerance, "--tolerance", 1e-3, 1e6)
     clock = StageClock()
     with TerrainStore(given.store.absolute()) as store:
@@ -213,12 +226,18 @@ def extract(given: Namespace, line: command_line.ProgressLine) -> str:
         with clock.stage("extract"):
             extracted = run_to_end(extract_mesh(store, viewer, CutSettings(tolerance)), line.show)
         origin = list(store.header.origin)
-    warnings = extracted.warnings
+        images, warnings = read_textures(store, extracted) if extension in (".obj", ".glb") else ({}, extracted.warnings)
     with clock.stage("write"):
-        if out.suffix.lower() == ".blend":
+        if extension == ".blend":
             warnings = write_scene(given.store.absolute(), viewer, tolerance, out, line)
+        elif extension == ".obj":
+            write_textured_obj(given, out, extracted, images)
         else:
-            write_mesh(out, extracted)
+            with atomic_file(out) as temporary:
+                if extension == ".glb":
+                    temporary.write_bytes(encode_glb(out.stem, extracted, images))
+                else:
+                    write_ply(temporary, extracted.mesh.positions, extracted.mesh.normals, extracted.mesh.triangles)
     line.clear()
     figures = {
         "origin": origin,
@@ -274,25 +293,74 @@ def parse_position(text: str, flag: str) -> np.ndarray:
     return position
 
 
-def write_mesh(out: Path, extracted: ExtractedMesh) -> None:
-    """Write a .ply or .obj file in local meters of the store."""
-    mesh = extracted.mesh
-    with atomic_file(out) as temporary:
-        if out.suffix.lower() == ".obj":
-            write_obj(temporary, mesh.positions, mesh.normals, mesh.triangles, np.zeros(3))
-        else:
-            write_ply(temporary, mesh.positions, mesh.normals, mesh.triangles)
+def read_textures(store: TerrainStore, extracted: ExtractedMesh) -> tuple[dict[int, bytes], tuple[str, ...]]:
+    """Return the images of a cut by the number of their texture tile, and sentences about what is damaged."""
+    images, warnings = {}, list(extracted.warnings)
+    for part in extracted.parts:
+        if part.texture is not None:
+            try:
+                images[part.texture] = read_texture(store, part.texture)
+            except FileError as error:
+                warnings.append(str(error))
+    return images, tuple(warnings)
+
+
+def write_textured_obj(given: Namespace, out: Path, extracted: ExtractedMesh, images: dict[int, bytes]) -> None:
+    """Write an .obj file, and its materials and images next to it if it has any.
+
+    Raises:
+        FileError: a file cannot be written, or would replace one that Farfield did not write.
+    """
+    library, mesh = material_path(out), extracted.mesh
+    names = {number: f"{library.stem.replace(' ', '_')}_{number}" for number in images}
+    files = {number: names[number] + (".png" if image.startswith(PNG_SIGNATURE) else ".jpg") for number, image in images.items()}
+    if images:
+        is_ours = partial(is_named_by, library)
+        outputs = [Output("an image of --out", out.with_name(name), is_ours=is_ours) for name in files.values()]
+        given.files.check([*obj_materials(out, library), *outputs])
+    parts = [
+        ObjPart(part.vertices[part.triangles], part.uvs, part.triangles, names[part.texture])
+        if part.texture in images
+        else ObjPart(part.vertices[part.triangles])
+        for part in extracted.parts
+    ]
+    with atomic_folder(out.parent) as folder:
+        write_obj(folder / out.name, mesh.positions, mesh.normals, parts, np.zeros(3), library.name if images else None)
+        materials = []
+        for number, name in names.items():
+            (folder / files[number]).write_bytes(images[number])
+            materials += [f"newmtl {name}", "Kd 1 1 1", "Ks 0 0 0", "illum 1", f"map_Kd {files[number]}"]
+            materials += [f"map_d {files[number]}"] if has_alpha(images[number]) else []
+        if images:
+            (folder / library.name).write_text(OBJ_COMMENT + "\n".join(materials) + "\n", encoding="utf-8")
 
 
 def write_scene(folder: Path, viewer: Viewer, tolerance: float, out: Path, line: command_line.ProgressLine) -> tuple[str, ...]:
-    """Write a scene with the terrain as objects, with textures. Returns sentences about damaged parts, which are replaced or missing."""
+    """Write a scene with the terrain as objects, with textures, the camera, a Sun, and a World with sky. Returns sentences about damaged
+    parts, which are replaced or missing."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     settings = ViewSettings(tolerance=tolerance, triangle_budget=0, culling=False)
     engine = BdamEngine(folder, settings)
     job = ShowJob(engine, viewer, str(folder))
     run_to_end(run_job(job), line.show)
+    add_camera(viewer, engine)
+    add_sky(bpy.context.scene, SkySettings())
+    add_haze(job.terrain, SkySettings())
     scene_files.save_scene(out)
     return job.terrain.warnings
+
+
+def add_camera(viewer: Viewer, engine: BdamEngine) -> None:
+    """Add a camera with the view, and let the scene render its size."""
+    scene, (low, high) = bpy.context.scene, engine.bounds
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    scene.collection.objects.link(camera)
+    scene.camera, camera.matrix_world = camera, mathutils.Matrix(viewer.matrix)
+    camera.data.angle = max(viewer.projection.field_of_view)
+    camera.data.clip_start = viewer.projection.near
+    camera.data.clip_end = float(np.linalg.norm(high - low) + np.linalg.norm(viewer.position - 0.5 * (low + high)))
+    scene.render.resolution_x, scene.render.resolution_y = viewer.projection.size
+    bpy.context.view_layer.update()
 
 
 def describe_store(store: TerrainStore) -> dict[str, Any]:

@@ -21,13 +21,14 @@ environment.import_farfield()
 
 import bpy
 
-from farfield.addon.bridge.billboards.exports import material_path, write_glb, write_obj
+from farfield.addon.bridge.billboards.exports import write_glb, write_obj
 from farfield.addon.bridge.billboards.scene_clouds import SceneCloud, read_cloud
 from farfield.addon.bridge.cameras import read_scene_camera
 from farfield.addon.bridge.geometry.meshes import may_have_surface
 from farfield.addon.core.billboards.cloud import Level
 from farfield.addon.core.billboards.settings import BillboardSettings, BuildOptions, CrossfadeSettings
 from farfield.addon.core.errors import FileError, GeometryError
+from farfield.addon.core.files.filenames import material_path
 from farfield.addon.core.files.outputs import Output, check_outputs, is_named_by
 from farfield.addon.core.jobs.progress import StageClock, run_to_end
 from farfield.addon.core.messages import join_sentences

@@ -40,7 +40,7 @@ from farfield.addon.operators.clipbox.job import prepare
 from farfield.addon.operators.job_run import run_job
 from lib import command_line, run_files, scene_files
 from lib.atomic_output import atomic_file
-from lib.mesh_export import write_obj, write_ply
+from lib.mesh_export import ObjPart, write_obj, write_ply
 from lib.script_stdout import mute_stderr
 
 EXTENSIONS = (".blend", ".ply", ".obj")
@@ -211,7 +211,7 @@ def write_output(out: Path, engine: TerrainEngine, origin: np.ndarray) -> None:
     mesh = weld(list(engine.extract_all()))
     with atomic_file(out) as temporary:
         if extension == ".obj":
-            write_obj(temporary, mesh.vertices, mesh.normals, mesh.triangles, origin)
+            write_obj(temporary, mesh.vertices, mesh.normals, [ObjPart(mesh.triangles)], origin)
         else:
             write_ply(temporary, mesh.vertices, mesh.normals, mesh.triangles)
 

@@ -73,7 +73,7 @@ def build_store(folder: Path, heights: np.ndarray, leaf: str = "16", height_step
     """Build the store of heights (rows, columns) in `folder`, without texture. Each process builds the same store once and copies it."""
 
     def build(target: Path) -> None:
-        settings = BdamSettings(patch_size=leaf, height_step=height_step, executor="serial")
+        settings = BdamSettings(patch_size=leaf, height_step=height_step, executor="serial", fill_holes="none", normal_maps=False)
         run_to_end(build_terrain(ArrayField(heights), [], target, settings))
 
     return _build_once(folder, f"{leaf} {height_step} {heights.dtype} {heights.shape}", heights, build)

@@ -68,5 +68,5 @@ def test_a_menu_of_blender_has_its_operators_once(name):
 def test_the_menu_of_objects_has_operators_of_all_tools_for_objects():
     layout = draw(menus.menu_name("VIEW3D_MT_object"))
     tools = {name.removeprefix("farfield.").partition("_")[0] for name, _, _ in layout.entries}
-    assert tools == {"distance", "texmesh", "billboards", "btf", "photos", "unwrap", "bdam", "clipbox"}
+    assert tools == {"distance", "texmesh", "billboards", "btf", "photos", "unwrap", "bdam", "clipbox", "scatter"}
     assert all(describe(name).name for name, _, _ in layout.entries)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 COMPRESSIONS = {"none": 1, "lzw": 5, "deflate": 8, "old_deflate": 32946, "packbits": 32773, "zstd": 50000}
-FORMATS = {3: "H", 4: "I", 12: "d", 16: "Q"}  # types of tags: short, long, double, long8
+FORMATS = {3: "H", 4: "I", 7: "B", 12: "d", 16: "Q"}  # types of tags: short, long, bytes, double, long8
 SAMPLE_FORMATS = {"u": 1, "i": 2, "f": 3}
 POINT_KEYS = (1, 1, 0, 3, 1024, 0, 1, 2, 1025, 0, 1, 2, 2048, 0, 1, 4326)  # degrees, pixel-is-point
 AREA_KEYS = (1, 1, 0, 3, 1024, 0, 1, 2, 1025, 0, 1, 1, 2048, 0, 1, 4326)  # degrees, pixel-is-area
@@ -104,11 +104,13 @@ def write_tiff(
     tags: Mapping[int, tuple] = (),
     empty: tuple[int, ...] = (),
     mask: np.ndarray | None = None,
+    encode: Callable[[np.ndarray], bytes] | None = None,
 ) -> Path:
     """Write an image (H, W) or (H, W, C).
 
     tile: rows and columns of tiles, None for strips. big: as BigTIFF. tags: further ones, (type, values) or text by number. empty: indices
-    of segments that are not stored. mask: (H, W) bool, a second image with single bits, in one strip.
+    of segments that are not stored. mask: (H, W) bool, a second image with single bits, in one strip. encode: codes segments (h, w, C)
+    instead of the compression, whose number is then in `tags`.
     """
     image = values.reshape(*values.shape[:2], -1)
     rows, columns, channels = image.shape
@@ -119,7 +121,8 @@ def write_tiff(
     for top in range(0, rows, segment_rows):
         for left in range(0, columns, segment_columns):
             segment = image[top : top + segment_rows, left : left + segment_columns]
-            segments.append(COMPRESSORS[compression](apply_predictor(segment, predictor, order)))
+            is_coded = encode is not None
+            segments.append(encode(segment) if is_coded else COMPRESSORS[compression](apply_predictor(segment, predictor, order)))
     segments = [b"" if index in empty else segment for index, segment in enumerate(segments)]
     header = 16 if big else 8
     starts = np.cumsum([header, *(len(segment) for segment in segments)]).tolist()

@@ -21,7 +21,8 @@ SHARED_SURFACE = "Farfield Terrain Ground"  # The group from color to surface of
 SKY_STRENGTH = 0.1  # From the radiance of Blender's sky to the strength of its Sun lights.
 HORIZON = 0.04  # Lowest z of the directions in which the sky is read.
 HAZE_HEIGHT = 0.12  # Height by which the density of air falls to 37 %, relative to the size of the terrain.
-HAZE_INPUTS = (("Shader", "Shader"), ("Distance", "Float"), ("Height", "Float"), ("Base Height", "Float"))
+HAZE_VALUES = "Distance", "Height", "Base Height"
+HAZE_INPUTS = (("Shader", "Shader"), *((name, "Float") for name in HAZE_VALUES))
 SKY_TYPES = ("MULTIPLE_SCATTERING", "NISHITA")  # The first that Blender has.
 
 
@@ -68,11 +69,25 @@ def add_haze(materials: Iterable[bpy.types.Material], settings: SkySettings, siz
 
     size: of the terrain, scene units; its farthest ground is half as far away. base_height: of dense air, z in world space.
     """
-    group = _ensure_haze_group(settings)
+    distance = 0.5 * size / -math.log(1.0 - settings.haze) if settings.haze else 1e12
+    _place_haze(materials, _ensure_haze_group(settings), (distance, HAZE_HEIGHT * size, base_height))
+
+
+def copy_haze(materials: Iterable[bpy.types.Material], targets: Iterable[bpy.types.Material]) -> None:
+    """Give `targets` the haze of `materials`, if these have any."""
+    for tree in filter(None, map(_find_surface, materials)):
+        for node in tree.nodes:
+            if node.type == "GROUP" and node.node_tree is not None and node.node_tree.name.startswith(HAZE_GROUP):
+                _place_haze(targets, node.node_tree, tuple(node.inputs[name].default_value for name in HAZE_VALUES))
+                return
+
+
+def _place_haze(materials: Iterable[bpy.types.Material], group: bpy.types.NodeTree, values: tuple[float, float, float]) -> None:
+    """Put the group of haze before the outputs of materials, once, with `HAZE_VALUES`."""
     for tree in dict.fromkeys(filter(None, map(_find_surface, materials))):
         node = next((item for item in tree.nodes if item.type == "GROUP" and item.node_tree == group), None) or _insert(tree, group)
-        node.inputs["Distance"].default_value = 0.5 * size / -math.log(1.0 - settings.haze) if settings.haze else 1e12
-        node.inputs["Height"].default_value, node.inputs["Base Height"].default_value = HAZE_HEIGHT * size, base_height
+        for name, value in zip(HAZE_VALUES, values, strict=True):
+            node.inputs[name].default_value = value
 
 
 def _find_surface(material: bpy.types.Material) -> bpy.types.NodeTree | None:

@@ -104,6 +104,11 @@ class TerrainRoot:
         """
         return self.read_position(self.origin_key())
 
+    @property
+    def meter(self) -> float:
+        """The length of a meter of its landscape in the space of the root. Raises SettingsError."""
+        return 1.0
+
     def read_position(self, key: str) -> np.ndarray:
         """Return the position (3,) float64 that is stored in a custom property of the root.
 

@@ -5,6 +5,7 @@ import numpy as np
 
 from ..bridge import sky
 from ..bridge.objects import world_matrix
+from ..bridge.scatter import find_materials
 from ..bridge.terrain_roots import TerrainRoot
 from ..core.geometry.transforms import transform_points
 from ..core.sky import SkySettings
@@ -44,7 +45,7 @@ def add_haze(terrain: TerrainRoot, settings: SkySettings) -> None:
     corners = np.concatenate([transform_points(world_matrix(item), item.bound_box) for item in ground])
     low, high = corners.min(axis=0), corners.max(axis=0)
     materials = [material for item in ground for material in item.data.materials if material is not None]
-    sky.add_haze(materials, settings, float((high - low)[:2].max()), float(low[2]))
+    sky.add_haze([*materials, *find_materials(terrain)], settings, float((high - low)[:2].max()), float(low[2]))
 
 
 register, unregister = bpy.utils.register_classes_factory((FARFIELD_OT_add_sky,))

@@ -23,6 +23,8 @@ OF_OBJECTS = (
     Entry("btf_bake", "RENDER_STILL"),
     Entry("photos_merge", "IMAGE_DATA"),
     Entry("unwrap", "UV"),
+    Entry("scatter_add", "OUTLINER_OB_POINTCLOUD"),
+    Entry("scatter_remove", "X"),
     Entry("bdam_drop", "TRIA_DOWN_BAR"),
     Entry("bdam_freeze", "FREEZE"),
     Entry("clipbox_convert_to_mesh", "MESH_DATA"),

@@ -69,6 +69,7 @@ class TerrainPanel(ToolPanel):
         if terrain is not None:
             column.prop(terrain.root, follow_handlers.camera_property(tool))
             layout.operator_menu_enum("farfield.add_sky", "light", text="Sky and Haze", icon="LIGHT_SUN")
+            layout.operator_menu_enum("farfield.scatter_add", "kind", text="Plants and Rocks", icon="OUTLINER_OB_POINTCLOUD")
             self.draw_terrain(terrain)
 
     def draw_terrain(self, terrain: TerrainRoot) -> None:

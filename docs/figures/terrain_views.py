@@ -18,11 +18,13 @@ from scipy.ndimage import binary_dilation, distance_transform_edt, gaussian_filt
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
+from farfield.addon.bridge.scatter import add_scatter
 from farfield.addon.bridge.sky import add_sky
 from farfield.addon.core.clipbox.settings import ClipboxSettings
 from farfield.addon.core.clipbox.terrains.generators import build_sampler
 from farfield.addon.core.clipbox.terrains.grids import Grid
 from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.scatter import ScatterSettings
 from farfield.addon.core.sky import SkySettings
 from farfield.addon.operators.clipbox.job import prepare
 from farfield.addon.operators.following import recenter
@@ -115,6 +117,18 @@ def coast(path: Path, width: int, samples: int) -> None:
     _render_view(path, width, samples, settings, np.array([1050.0, -500.0, 30.0]), np.array([700.0, 0.0, 20.0]))
 
 
+def woods(path: Path, width: int, samples: int) -> None:
+    """Render one view of hills with conifers."""
+    settings = ClipboxSettings(terrain="hills", seed=3, resolution=128, boxes=7, voxel_size=0.5)
+    _render_view(path, width, samples, settings, np.array([100.0, 50.0, 14.0]), np.array([-200.0, 250.0, 8.0]), scattered="forest")
+
+
+def steppe(path: Path, width: int, samples: int) -> None:
+    """Render one view of table mountains from the plain, with what grows there."""
+    settings = ClipboxSettings(terrain="mesas", seed=2, resolution=128, boxes=7, voxel_size=0.5)
+    _render_view(path, width, samples, settings, np.array([256.0, -208.0, -63.2]), np.array([420.0, 157.0, -61.2]), scattered="steppe")
+
+
 def copses(path: Path, width: int, samples: int) -> None:
     """Render one view of hills with voxel trees."""
     with tempfile.TemporaryDirectory() as folder:
@@ -139,8 +153,12 @@ def _render_view(
     position: np.ndarray,
     target: np.ndarray,
     height: int | None = None,
+    scattered: str = "",
 ) -> None:
-    """Render terrain from `position` (3,) towards `target` (3,), in the format 16:9 unless a height in pixels is given."""
+    """Render terrain from `position` (3,) towards `target` (3,), in the format 16:9 unless a height in pixels is given.
+
+    scattered: the kind of plants and rocks, none if it is empty.
+    """
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     job = prepare(settings, position)
     run_to_end(run_job(job))
@@ -151,6 +169,8 @@ def _render_view(
     add_sky(bpy.context.scene, light)
     add_haze(job.terrain, light)
     camera.matrix_world = look_at_matrix((position - target) / np.linalg.norm(position - target), position)
+    if scattered:
+        add_scatter(bpy.context.scene, job.terrain, ScatterSettings(kind=scattered), job.terrain.meter)
     bpy.context.scene.render.filepath = str(path)
     bpy.context.scene.render.resolution_y = height or bpy.context.scene.render.resolution_y
     bpy.ops.render.render(write_still=True)
@@ -174,3 +194,6 @@ def _set_up_scene(width: int, samples: int) -> tuple[bpy.types.Object, bpy.types
     scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.max_bounces = samples, True, 3
     scene.view_settings.view_transform = "AgX"
     return camera, point_light
+
+
+VIEWS = {"landscape": landscape, "desert": desert, "coast": coast, "woods": woods, "steppe": steppe, "copses": copses}

@@ -93,11 +93,11 @@ def test_build_loads_the_terrain_and_names_holes(tmp_path, capfd):
     (terrain,) = SceneTerrain.in_scene(bpy.context.scene)
     assert terrain.folder == tmp_path / "store" and terrain.figures.triangles > 100 and terrain.tiles()
     holes, camera_range, *others = read_result(bpy.context.scene, "bdam")
-    assert holes == "1.5% of the heights are unknown: they are holes, unless Fill Holes is on."
+    assert holes == "1 void filled."
     assert "shows nothing beyond 10 m; raise Clip End" in camera_range and any(" patches, " in sentence for sentence in others)
     bpy.ops.farfield.bdam_remove()
-    bpy.ops.farfield.bdam_build(**arguments, fill_holes=True)
-    assert "1.5% of the heights are unknown and were filled." in capfd.readouterr().out
+    bpy.ops.farfield.bdam_build(**arguments, fill_holes="none")
+    assert "0 voids filled, 1 left of 0.0016 km²; Fill Holes can fill all." in capfd.readouterr().out
 
 
 def test_a_new_folder_is_proposed_for_the_terrain(tmp_path):

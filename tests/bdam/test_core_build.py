@@ -142,13 +142,16 @@ def test_the_report_describes_the_store(built):
         assert report.origin == tuple(store.header.origin) and report.crs == store.header.crs
     assert report.bytes == sum(map(len, files.values())) and (report.rows, report.columns) == (SIZE, SIZE)
     assert report.holes == np.isnan(heights_of()).sum()
-    assert {"heights", "textures", "patches", "store"} == report.seconds.keys()
+    assert (report.voids.filled, report.voids.left, report.voids.left_samples) == (1, 1, 45)
+    assert report.describe_voids() == "1 void filled, 1 left of 0.0045 km²; Fill Holes can fill all."
+    assert {"heights", "textures", "normals", "patches", "store"} == report.seconds.keys()
     assert any("has no position" in warning for warning in report.warnings) and image.exists()
 
 
 def test_every_sample_of_the_source_is_in_the_finest_level(built):
     folder, _, _, _, _ = built
-    heights, seen = heights_of()[::-1], np.zeros((SIZE, SIZE), bool)
+    heights, seen, is_hole = heights_of()[::-1], np.zeros((SIZE, SIZE), bool), np.zeros((SIZE, SIZE), bool)
+    is_hole[-5:, :9] = True  # The other hole is small, and filled.
     with TerrainStore(folder / "store") as store:
         for row in range(len(store.levels[-1].indices)):
             patch = store.read(len(store.levels) - 1, row)
@@ -156,12 +159,13 @@ def test_every_sample_of_the_source_is_in_the_finest_level(built):
             seen[patch.y, patch.x] = True
             error = np.abs(patch.z * store.header.height_step - heights[patch.y, patch.x])[is_known]
             assert error.max(initial=0.0) <= 0.51 * store.header.height_step
-            touches = is_known[patch.triangles].any(axis=1)
-            assert (patch.is_hole == ~touches).all()
+            assert (patch.is_hole == is_hole[patch.y, patch.x][patch.triangles].all(axis=1)).all()
     assert seen.all()
 
 
-@pytest.mark.parametrize(("version", "message"), [(structure.VERSION - 1, "older Farfield"), (structure.VERSION + 1, "newer Farfield")])
+@pytest.mark.parametrize(
+    ("version", "message"), [(structure.OLDEST_VERSION - 1, "older Farfield"), (structure.VERSION + 1, "newer Farfield")]
+)
 def test_stores_of_other_versions_are_refused(built, tmp_path, monkeypatch, version, message):
     folder, _, _, _, _ = built
     shutil.copytree(folder / "store", tmp_path / "store")
@@ -245,7 +249,7 @@ def test_an_image_that_cannot_be_read_leaves_nothing(tmp_path):
 
 def test_filled_holes_have_all_triangles_and_known_heights_stay(tmp_path):
     source = write_source(tmp_path)
-    run_to_end(steps_of([source], tmp_path / "store", fill_holes=True, height_step=0.01))
+    run_to_end(steps_of([source], tmp_path / "store", fill_holes="all", height_step=0.01))
     heights = heights_of()[::-1]
     with TerrainStore(tmp_path / "store") as store:
         for row in range(len(store.levels[-1].indices)):

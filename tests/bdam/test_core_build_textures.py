@@ -11,12 +11,14 @@ from farfield.addon.core.bdam.settings import BdamSettings
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
 from farfield.addon.core.bdam.textures.grid import TILE_SIZE
 from farfield.addon.core.errors import FarfieldError, FileError
+from farfield.addon.core.geometry.reprojection import Utm
 from farfield.addon.core.jobs.progress import run_to_end
 from texture_builds import tile_uv
-from tiff_writer import AREA_KEYS, POINT_KEYS, UTM_KEYS, map_tags, write_tiff
+from tiff_writer import AREA_KEYS, UTM_KEYS, map_tags, write_tiff
 
 SIZE, CELL = 49, 20.0
 WEST, NORTH = 500_000.0, 5_200_000.0  # The position of the sample in the north-west.
+LAMBERT_KEYS = UTM_KEYS[:-5] + (2154, *UTM_KEYS[-4:])
 OTHER_UTM_KEYS = UTM_KEYS[:-5] + (32633, *UTM_KEYS[-4:])
 
 
@@ -118,12 +120,27 @@ def test_world_files_place_images_and_later_ones_lie_on_top(tmp_path):
         assert np.abs(reds[(east > 405.0) & (east < 990.0)].astype(int) - 200).max() <= 1
 
 
+def test_an_image_in_degrees_lies_on_a_field_in_utm(tmp_path):
+    (west, east), (south, north) = Utm(32).unproject(np.array([WEST + 200.0, WEST + 700.0]), np.array([NORTH - 700.0, NORTH - 200.0]))
+    tags = map_tags(((east - west) / 300, (north - south) / 300), (west, north), AREA_KEYS)
+    path = write_tiff(tmp_path / "ground.tif", gradient(300, 300), "deflate", tile=(64, 64), tags=tags)
+    with build(tmp_path, [path]) as store:
+        positions = random_positions(2000)
+        colors, meters = sample(store, positions), CELL * positions
+        u, v = (meters[:, 0] - 200.0) / 500.0, (meters[:, 1] - (CELL * (SIZE - 1) - 700.0)) / 500.0
+        margin = 0.02  # The square in degrees is turned and bent by up to this part of its side.
+        is_inside = (np.minimum(u, v) > margin) & (np.maximum(u, v) < 1.0 - margin)
+        assert is_inside.sum() > 300 and (colors[is_inside, 3] == 255).all()
+        assert np.abs(colors[is_inside, :2] - 255.0 * np.stack([u, v], axis=1)[is_inside]).max() <= 255.0 * margin
+        assert (colors[(np.minimum(u, v) < -margin) | (np.maximum(u, v) > 1.0 + margin), 3] == 0).all()
+
+
 @pytest.mark.parametrize("image_format", ["jpeg", *(pytest.param(name, marks=pytest.mark.exhaustive) for name in ("raw", "webp"))])
 def test_texels_over_holes_are_transparent(tmp_path, image_format):
     Image.fromarray(gradient(600, 600)).save(tmp_path / "ground.png")
     dem = write_dem(tmp_path, holes=True)
     is_known = np.isfinite(open_field([dem]).read(slice(0, SIZE), slice(0, SIZE)))
-    with build(tmp_path, [tmp_path / "ground.png"], dem, texture_format=image_format) as store:
+    with build(tmp_path, [tmp_path / "ground.png"], dem, texture_format=image_format, fill_holes="none") as store:
         positions = random_positions(2000)
         alpha = sample(store, positions)[:, 3]
         low = positions.astype(int)
@@ -137,7 +154,7 @@ def test_texels_over_holes_are_transparent(tmp_path, image_format):
 
 def test_filled_holes_are_opaque(tmp_path):
     Image.fromarray(gradient(300, 300)).save(tmp_path / "ground.png")
-    with build(tmp_path, [tmp_path / "ground.png"], write_dem(tmp_path, holes=True), fill_holes=True) as store:
+    with build(tmp_path, [tmp_path / "ground.png"], write_dem(tmp_path, holes=True)) as store:
         assert (sample(store, random_positions())[:, 3] == 255).all()
 
 
@@ -174,9 +191,8 @@ def write_world_text(folder):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda folder: [place(folder, "a.tif", OTHER_UTM_KEYS)], "different projections .*EPSG:32633"),
-        (lambda folder: [place(folder, "a.tif", AREA_KEYS, west=8.0)], "different projections .*degrees"),
-        (lambda folder: [place(folder, "a.tif", POINT_KEYS, west=8.0)], "different projections"),
+        (lambda folder: [place(folder, "a.tif", LAMBERT_KEYS)], "different projections .*EPSG:2154, meters and EPSG:32632"),
+        (lambda folder: [place(folder, "a.tif", OTHER_UTM_KEYS)], "outside of the elevation model"),
         (lambda folder: [place(folder, "a.tif", west=WEST + 5e4)], "outside of the elevation model"),
         (lambda folder: [place(folder, "a.tif", channels=5)], "5 channels"),
         (lambda folder: [write_plain(folder, "a.png"), write_plain(folder, "b.png")], "no position.*world file"),

@@ -72,7 +72,7 @@ class Scene:
         self.filled = 0
         while not self.engine.finished_blocks.empty():
             key, block = self.engine.finished_blocks.get_nowait()
-            self.tiles[key], self.textures[key] = block.mesh, block.texture and block.texture[0]
+            self.tiles[key], self.textures[key] = block.mesh, block.maps and block.maps[0]
             self.filled += 1
         self.tiles = {key: self.tiles[key] for key in update.tiles}
         self.textures = {key: self.textures[key] for key in update.tiles}
@@ -157,7 +157,7 @@ def test_there_are_at_most_64_tiles_each_within_its_texture_tile(folders, kind):
 
 def test_texture_tiles_are_fine_near_the_viewer_and_balanced(folders):
     engine = engine_of(folders, "texture")
-    selector, index = engine._textures, engine.store.textures.index
+    selector, index = engine._select()[1], engine.store.textures.index
     for max_count in (1, 4, 16, MAX_TILES):
         cut = selector.choose(look_at((0.0, -200.0, 250.0), (0.0, 0.0, 0.0)), CutSettings(), max_count)
         assert 1 <= len(cut.numbers) <= max_count

@@ -14,6 +14,7 @@ from farfield.addon.core.bdam.view import freezing
 from farfield.addon.core.bdam.view.extraction import Cut, CutSettings, ProjectedErrors, extract_cut, extract_union_cut
 from farfield.addon.core.bdam.view.freezing import FrozenMesh, choose_path_cut, describe_limit, freeze_cut, join
 from farfield.addon.core.bdam.view.texture_cuts import TextureSelector
+from farfield.addon.core.bdam.view.tile_maps import StoreMaps
 from farfield.addon.core.geometry.viewers import Projection, Viewer
 from farfield.addon.core.jobs.progress import run_to_end
 from small_terrain_stores import CELL_SIZE, add_texture, build_cut_mesh, build_store, colors, hills
@@ -152,7 +153,7 @@ def test_textures_of_a_path_are_as_fine_as_those_of_every_frame(stores):
 @given(st.integers(0, 2**31), st.integers(1, 5), st.sampled_from([1, 4, 7, 16, 64]), st.floats(0.1, 20.0))
 def test_a_path_has_a_limited_number_of_textures_that_keep_their_stated_tolerance(stores, seed, count, max_count, tolerance):
     store, viewers = stores["texture"], path(seed, count)
-    selector = TextureSelector(store)
+    selector = TextureSelector(store, StoreMaps(store, has_color=True))
     chosen = run_to_end(selector.choose_for_path(viewers, CutSettings(tolerance), max_count))
     assert 1 <= len(chosen.numbers) <= max_count and chosen.tolerance >= tolerance
     refined = [{tuple(square) for square in squares.tolist()} for squares in chosen.refined]

@@ -263,7 +263,7 @@ def test_a_tile_that_is_no_image_or_too_large_is_named_and_not_shown(folder, nam
     engine = BdamEngine(folder, ViewSettings(tolerance=100.0))
     update = run_to_end(engine.move(VIEWER))
     _, block = engine.finished_blocks.get_nowait()
-    assert block.texture is None and "texture tile 0/0/0" in " ".join(update.warnings)
+    assert block.maps[1].color is None and "texture tile 0/0/0" in " ".join(update.warnings)
     engine.store.close()
 
 

@@ -1,18 +1,21 @@
 """Large terrain in a scene: tiles as objects that meet exactly, with their normals, textures and materials."""
 
 import shutil
+from dataclasses import replace
 
 import bpy
 import mathutils
 import numpy as np
 import pytest
 
+from farfield.addon.bridge.bdam import materials
 from farfield.addon.bridge.bdam import objects as terrain_objects
 from farfield.addon.bridge.bdam.materials import LEVEL_ATTRIBUTE, TEXTURE_KEY, USED_KEY, mark_used, remove_unused
 from farfield.addon.bridge.bdam.objects import SceneTerrain, TerrainChange
 from farfield.addon.bridge.geometry.mesh_arrays import read_attribute, read_loop_vertices, read_positions, read_uvs
 from farfield.addon.bridge.geometry.mesh_pool import spare_meshes
 from farfield.addon.core.bdam.settings import ViewSettings
+from farfield.addon.core.bdam.store import curvature
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
 from farfield.addon.core.bdam.view.engine import BdamEngine
 from farfield.addon.core.errors import GeometryError
@@ -227,3 +230,23 @@ def test_undo_before_tiles_are_shown_leaves_nothing_behind(folder):
     with pytest.raises(GeometryError, match="Undo has removed"):
         next(steps)
     assert not bpy.data.objects and job.terrain is None
+
+
+def test_curvature_lowers_the_ground_and_keeps_its_colors(folder, monkeypatch):
+    """Materials by height add what curvature has taken away; without it, terrains have other materials."""
+    monkeypatch.setattr(curvature, "EARTH_RADIUS", 4000.0)
+    monkeypatch.setattr(materials, "EARTH_RADIUS", 4000.0)
+    flat, _ = create(folder, shading="height")
+    curved, engine = create(folder, shading="height", curvature=True, exaggeration=2.0)
+    heights = hills(SIZE, SIZE)
+    positions = world_positions(curved)
+    columns, rows = (np.rint(positions[:, axis] / 10.0 + SIZE // 2).astype(int) for axis in range(2))
+    drop = (positions[:, :2] ** 2).sum(axis=1) / 8000.0
+    assert np.abs(positions[:, 2] - 2.0 * (heights[rows, columns] - drop)).max() < 0.03 and drop.max() > 90.0
+    shown = [next(iter(terrain.tiles().values())).data.materials[0] for terrain in (flat, curved)]
+    labels = [{node.label: node for node in materials.find_surface(material).nodes} for material in shown]
+    assert "Curvature" not in labels[0]
+    product = labels[1]["Curvature"].outputs["Value"].links[0].to_node
+    assert product.inputs[1].default_value == pytest.approx(2.0 / 8000.0)
+    engine.settings = replace(engine.settings, shading="level")
+    assert curved.ensure_material("level", engine) != shown[1]

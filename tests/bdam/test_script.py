@@ -114,6 +114,56 @@ def test_a_blend_contains_the_terrain_with_its_texture(folder):
     assert terrain.folder == folder / "store" and len(terrain.tiles()) == report["tiles"]
     assert sum(len(tile.data.polygons) for tile in terrain.tiles().values()) == report["triangles"]
     assert any(image.packed_file for image in bpy.data.images)
+    scene = bpy.context.scene
+    assert tuple(scene.camera.matrix_world.translation) == (-300.0, -300.0, 200.0)
+    assert np.degrees(scene.camera.data.angle) == pytest.approx(50.0) and scene.camera.data.clip_end > 640.0
+    assert (scene.render.resolution_x, scene.render.resolution_y) == (800, 600)
+    assert [item.data.type for item in scene.objects if item.type == "LIGHT"] == ["SUN"] and scene.world.name.startswith("Farfield Sky")
+
+
+@pytest.fixture(scope="module")
+def colored(tmp_path_factory, extension):
+    """A folder with the store of hills on which red grows to the east and green to the north."""
+    path = tmp_path_factory.mktemp("couleurs d'été")
+    y, x = np.mgrid[0:700, 0:700]
+    Image.fromarray(np.stack([x // 3, (699 - y) // 3, np.full_like(x, 60)], axis=-1).astype(np.uint8)).save(path / "ground.png")
+    write_source(path / "hills.npy")
+    run("build", path / "hills.npy", "--out", path / "store", "--texture", path / "ground.png", *SMALL)
+    return path
+
+
+def check_colors(mesh):
+    """Check the colors of images at the corners of an imported mesh, which is 640 m wide."""
+    textures = [next(node.image for node in material.node_tree.nodes if node.type == "TEX_IMAGE") for material in mesh.materials]
+    images = [np.array(image.pixels).reshape(image.size[1], image.size[0], -1) for image in textures]
+    uvs = np.array([corner.uv for corner in mesh.uv_layers[0].data])
+    assert len(images) > 1 and (uvs >= 0.0).all() and (uvs <= 1.0).all()
+    vertices = np.array([vertex.co for vertex in mesh.vertices])
+    for polygon in list(mesh.polygons)[::7]:
+        image = images[polygon.material_index]
+        for loop in polygon.loop_indices:
+            x, y = np.minimum((uvs[loop] * image.shape[1::-1]).astype(int), 511)
+            expected = (vertices[mesh.loops[loop].vertex_index, :2] + 320.0) / 640.0 * 233.0
+            assert np.abs(255.0 * image[y, x, :2] - expected).max() < 6.0
+
+
+def test_an_obj_and_a_glb_have_the_textures(colored):
+    run("extract", colored / "store", *VIEW, "--tolerance", "0.5", "--out", colored / "à cut.obj", "--report", colored / "cut.json")
+    report = read_report(colored / "cut.json")
+    bpy.ops.wm.obj_import(filepath=str(colored / "à cut.obj"), forward_axis="Y", up_axis="Z")
+    mesh = bpy.context.object.data
+    assert len(mesh.polygons) == report["triangles"]
+    check_colors(mesh)
+    run("extract", colored / "store", *VIEW, "--tolerance", "0.5", "--out", colored / "à cut.obj")
+    (colored / "à cut.mtl").write_text("newmtl mine", encoding="utf-8")
+    (colored / "à cut.obj").unlink()
+    with pytest.raises(FileError, match=r"would replace .*à cut\.mtl.*, which Farfield did not write"):
+        run("extract", colored / "store", *VIEW, "--tolerance", "0.5", "--out", colored / "à cut.obj")
+    run("extract", colored / "store", *VIEW, "--tolerance", "0.5", "--out", colored / "cut.glb")
+    bpy.ops.import_scene.gltf(filepath=str(colored / "cut.glb"))
+    mesh = bpy.context.object.data
+    assert len(mesh.polygons) == report["triangles"]
+    check_colors(mesh)
 
 
 def test_verify_names_what_is_damaged(folder, tmp_path):

@@ -4,7 +4,7 @@ import bpy
 import pytest
 
 from bridge.solid_views import shown_image
-from farfield.addon.bridge.bdam.materials import create_texture_material
+from farfield.addon.bridge.bdam.materials import ImagePart, TileImages, create_tile_material
 from farfield.addon.bridge.photos.results import create_material
 from farfield.addon.bridge.shading.solid_view import show_color_image
 from textured_scenes import checker_image, textured_material
@@ -88,4 +88,4 @@ def test_materials_without_nodes_or_output_stay(material, roughness):
 def test_textures_of_photographs_and_terrain_show_their_color(roughness):
     color = checker_image()
     assert shown_image(create_material("Wall", color, has_alpha=True)) == color
-    assert shown_image(create_texture_material("Tile", color, roughness)) == color
+    assert shown_image(create_tile_material("Tile", TileImages(ImagePart(color), ImagePart(roughness), None), 1.0, None, None)) == color

@@ -373,7 +373,7 @@ class TestErrors:
         compression_tag = b"\x03\x01\x03\x00\x01\x00\x00\x00\x01\x00"  # tag 259, one short integer, 1 for none
         assert content.count(compression_tag) == 1
         (tmp_path / "packed.tif").write_bytes(content.replace(compression_tag, compression_tag[:-2] + b"\x51\xc3"))  # 50001, WebP
-        with pytest.raises(FileError, match="save it without compression"):
+        with pytest.raises(FileError, match="save it with deflate"):
             read_file(tmp_path / "packed.tif")
 
     @pytest.mark.slow

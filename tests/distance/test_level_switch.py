@@ -6,7 +6,7 @@ import pytest
 
 from distance_scenes import DISTANCES, add_box, add_camera, add_scatter, attach_levels, rendered, shown
 from farfield.addon.bridge import lod_crossfade
-from farfield.addon.bridge.distance.level_switch import follow_viewport
+from farfield.addon.bridge.active_camera import follow_viewport
 from farfield.addon.core.geometry.cameras import Camera
 
 pytestmark = pytest.mark.usefixtures("empty_scene")

@@ -3,12 +3,14 @@
 import io
 import itertools
 import tracemalloc
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.files import tiff_codecs, tiffs
@@ -217,6 +219,57 @@ def test_segments_that_are_not_stored_hold_no_data(tmp_path):
         assert np.array_equal(samples[32:], values[32:])
 
 
+def encode_picture(pixels: np.ndarray, image_format: str = "JPEG", **options) -> bytes:
+    """Return pixels (h, w, C) as a picture."""
+    file = io.BytesIO()
+    values = ~pixels if pixels.shape[2] == 4 else pixels  # Pillow inverts inks.
+    picture = Image.frombytes({1: "L", 3: "RGB", 4: "CMYK"}[pixels.shape[2]], pixels.shape[1::-1], np.ascontiguousarray(values))
+    picture.save(file, image_format, **options)
+    return file.getvalue()
+
+
+JPEG_KINDS = {  # channels, photometric interpretation, options of Pillow
+    "gray": (1, 1, {}),
+    "YCbCr": (3, 6, {"subsampling": 0}),
+    "subsampled": (3, 6, {"subsampling": 2}),
+    "RGB": (3, 2, {"keep_rgb": True}),
+    "RGB and alpha": (4, 2, {}),
+}
+
+
+@pytest.mark.parametrize("kind", JPEG_KINDS)
+@pytest.mark.parametrize("tile", [None, (32, 48)])
+def test_pictures_in_jpeg(tmp_path, kind, tile):
+    channels, photometric, options = JPEG_KINDS[kind]
+    y, x, z = np.mgrid[0:ROWS, 0:COLUMNS, 0:channels]
+    values = (127.0 + 100.0 * np.sin(x / 15.0 + z) * np.cos(y / 12.0)).astype(np.uint8)
+    for has_tables in (False, True):
+        tags = {258: (3, (8,) * channels), 259: (3, (7,)), 262: (3, (photometric,))}
+        if has_tables:
+            tags[347] = (7, tuple(encode_picture(values[:16, :16], quality=95, streamtype=1, **options)))
+        if channels == 4:
+            tags[338] = (3, (2,))
+        code = partial(encode_picture, quality=95, streamtype=2 if has_tables else 0, **options)
+        path = write_tiff(tmp_path / "ground.tif", values, tile=tile, rows_per_strip=32, tags=tags, encode=code)
+        samples = read_all(path)
+        assert samples.shape == values.shape and samples.dtype == np.uint8
+        assert np.abs(samples.astype(int) - values).max() <= (12 if kind == "subsampled" else 4)
+        assert np.array_equal(open_tiff(path).read(slice(20, 60), slice(30, 90)), samples[20:60, 30:90])
+        content = path.read_bytes()
+        path.write_bytes(content[:40] + bytes(200) + content[240:])
+        with pytest.raises(FileError, match="is damaged"):
+            read_all(path)
+
+
+def test_pictures_in_webp(tmp_path):
+    values = hills("u1", 3)
+    tags = {259: (3, (50001,)), 262: (3, (2,))}
+    path = write_tiff(
+        tmp_path / "ground.tif", values, tile=(32, 48), tags=tags, encode=partial(encode_picture, image_format="WEBP", lossless=True)
+    )
+    assert np.array_equal(read_all(path), values)
+
+
 class TestErrors:
     """Sentences about files that cannot be read."""
 
@@ -254,6 +307,12 @@ class TestErrors:
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         assert peak < 2**20
+
+    def test_a_compression_that_cannot_be_read_is_named(self, tmp_path):
+        for number, name in ((34887, "the unsupported compression LERC"), (34712, "the unsupported compression JPEG2000")):
+            path = write_tiff(tmp_path / "map.tif", hills("f4"), tags={259: (3, (number,))})
+            with pytest.raises(FileError, match=f"has {name}; save it with deflate"):
+                open_tiff(path).check_complete()
 
     def test_an_image_of_which_nothing_is_stored(self, tmp_path):
         path = write_tiff(tmp_path / "empty.tif", hills("i2"), "deflate", 1, (80, 112), empty=(0,))

@@ -17,6 +17,7 @@ import numpy as np
 
 from ...core.bdam.settings import ViewSettings
 from ...core.bdam.view.engine import BdamEngine, Figures, TileBlock, Update
+from ...core.bdam.view.tile_maps import ShownMaps
 from ...core.bdam.view.tiles import TileKey, TileMesh
 from ...core.errors import FileError
 from ...core.files.file_access import is_folder
@@ -24,7 +25,7 @@ from ...core.json_values import parse_json
 from ..geometry.mesh_arrays import write_attribute, write_triangles
 from ..geometry.mesh_pool import PendingMeshes, mark_spare
 from ..terrain_roots import TerrainRoot, remove_terrain
-from .materials import LEVEL_ATTRIBUTE, MATERIAL_KEY, TextureMaterials, create_material, mark_used, remove_unused
+from .materials import LEVEL_ATTRIBUTE, MATERIAL_KEY, TileMaterials, create_material, mark_used, remove_unused
 
 STORE_KEY = "farfield_bdam_store"  # custom property of the root: the folder of the store
 FIGURES_KEY, WARNINGS_KEY = "farfield_bdam_figures", "farfield_bdam_warnings"  # custom properties of the root: the last change as JSON text
@@ -79,17 +80,21 @@ class SceneTerrain(TerrainRoot):
 
     def ensure_material(self, shading: str, engine: BdamEngine) -> bpy.types.Material:
         """Return its material for a shading; create it if there is none."""
-        key = f"{MATERIAL_NAMES}{shading}"
-        material = bpy.data.materials.get((str(self.root.get(key, "")), None)) or self._shown_material(shading)
-        if material is None or material.get(MATERIAL_KEY) != shading:
-            material = create_material(f"{self.name} {shading.title()}", shading, self.root, engine.heights, engine.store.header.cell_size)
+        kind = f"{shading} curved" if engine.settings.curvature and shading != "level" else shading
+        key = f"{MATERIAL_NAMES}{kind}"
+        material = bpy.data.materials.get((str(self.root.get(key, "")), None)) or self._shown_material(kind)
+        if material is None or material.get(MATERIAL_KEY) != kind:
+            exaggeration = engine.settings.exaggeration if engine.settings.curvature else 0.0
+            name = f"{self.name} {shading.title()}"
+            material = create_material(name, shading, self.root, engine.heights, engine.store.header.cell_size, exaggeration)
+            material[MATERIAL_KEY] = kind
         self.root[key] = material.name
         return material
 
-    def _shown_material(self, shading: str) -> bpy.types.Material | None:
-        """Return the material of a shading that a tile has, which the user may have renamed; None if there is none."""
+    def _shown_material(self, kind: str) -> bpy.types.Material | None:
+        """Return the material of a kind that a tile has, which the user may have renamed; None if there is none."""
         materials = [tile.data.materials[0] for tile in self.tiles().values() if tile.data.materials]
-        return next((item for item in materials if item is not None and item.get(MATERIAL_KEY) == shading), None)
+        return next((item for item in materials if item is not None and item.get(MATERIAL_KEY) == kind), None)
 
 
 def resolve_folder(path: str, library: bpy.types.Library | None, subject: str) -> Path:
@@ -137,17 +142,15 @@ class TerrainChange:
         self._terrain, self._engine = terrain, engine
         self._meshes = PendingMeshes(POOL, TERRAIN_NAME)
         self._locations: dict[TileKey, np.ndarray] = {}
-        self._textures = TextureMaterials(engine.identity)
+        self._maps: dict[int, ShownMaps] = {}
 
     def fill(self, key: TileKey, block: TileBlock) -> Iterator[None]:
-        """Fill the mesh of a tile and create the material of its texture, in several steps."""
+        """Fill the mesh of a tile, in several steps."""
         mesh, source = self._meshes.take(key), block.mesh
         self._locations[key] = source.location
         yield from fill_tile_mesh(mesh, source)
-        if block.texture is not None:
-            yield
-            number, tile = block.texture
-            self._textures.ensure(number, f"{self._terrain.name} {self._engine.texture_label(number)}", tile)
+        if block.maps is not None:
+            self._maps[block.maps[0]] = block.maps[1]
 
     def check_pending(self) -> None:
         """Check that undo has not changed the filled meshes; see `PendingMeshes.check`."""
@@ -168,8 +171,7 @@ class TerrainChange:
         objects = terrain.tiles()
         new = {tile_name(key): key for key in self._meshes.names}
         wanted = {tile_name(key) for key in update.tiles}
-        materials = self._find_materials(update, shading)
-        yield
+        materials = yield from self._ensure_materials(update, shading)
         self.check_pending()
         for name, key in new.items():
             mesh = self._meshes.claim(key)
@@ -194,11 +196,18 @@ class TerrainChange:
         if not wanted <= objects.keys():
             self._engine.invalidate()  # the user has deleted tiles; the next move restores them
 
-    def _find_materials(self, update: Update, shading: str) -> dict[TileKey, bpy.types.Material]:
-        """Return the material of every tile; tiles without texture are shaded by slope."""
-        general = "slope" if shading == "texture" else shading
-        by_number = {number: self._textures.find(number) for number in set(update.tiles.values()) if number is not None}
-        return {key: by_number.get(number) or self._terrain.ensure_material(general, self._engine) for key, number in update.tiles.items()}
+    def _ensure_materials(self, update: Update, shading: str) -> Iterator[None]:
+        """Return the material of every tile, in several steps; tiles without texture are shaded by slope."""
+        general = self._terrain.ensure_material("slope" if shading == "texture" else shading, self._engine)
+        tile_materials = TileMaterials(self._engine, self._terrain.name)
+        numbers = sorted({number for number in update.tiles.values() if number is not None})
+        for number in numbers:
+            if tile_materials.find(number) is None:
+                maps = self._maps.get(number) or self._engine.read_maps(number)[0]
+                tile_materials.create(number, self._terrain.name, maps, general, self._terrain.root)
+                yield
+        by_number = {number: tile_materials.find(number) for number in numbers}
+        return {key: by_number.get(number) or general for key, number in update.tiles.items()}
 
 
 def fill_tile_mesh(mesh: bpy.types.Mesh, source: TileMesh) -> Iterator[None]:

@@ -11,7 +11,7 @@ import numpy as np
 from ...compat import enable_nodes
 from ...core.billboards.texels import Texels
 from ...core.errors import GeometryError
-from ...core.files.filenames import safe_filename, unique_filenames
+from ...core.files.filenames import material_path, safe_filename, unique_filenames
 from ...core.files.outputs import OBJ_COMMENT
 from ...core.geometry.transforms import transform_points
 from ...core.imaging.images import dilate
@@ -55,11 +55,6 @@ def write_obj(levels: list[bpy.types.Object], path: Path) -> None:
         first_vertex, first_loop = first_vertex + len(level.data.vertices), first_loop + len(level.data.loops)
     mtl.write_text(OBJ_COMMENT + "\n".join(materials) + "\n", encoding="utf-8")
     path.write_text("\n".join(shapes) + "\n", encoding="utf-8")
-
-
-def material_path(path: Path) -> Path:
-    """Return the path of the `.mtl` file of an `.obj` file."""
-    return path.with_name(f"{safe_filename(path.stem)}.mtl")
 
 
 def write_glb(levels: list[bpy.types.Object], path: Path) -> list[str]:

@@ -96,7 +96,11 @@ def create_terrain_material(
     values |= {"Snow Height": high + SNOW_LINE * size, "Sand Height": low}
     if ground_image is not None:
         values |= dict.fromkeys(LAYERS, _project_ground_image(builder, position, ground_image))
-    add_ground(material, builder, position, values)
+    normal = builder.node("ShaderNodeNewGeometry").outputs["Normal"]
+    shader = add_ground(builder, position, normal, values)
+    builder.connect(shader, builder.node("ShaderNodeOutputMaterial").inputs["Surface"])
+    builder.arrange()
+    show_color(material, (DEFAULTS | values)["Grass"] if ground_image is None else DEFAULTS["Grass"])
     return material
 
 

@@ -52,6 +52,11 @@ class SceneTerrain(TerrainRoot):
         """
         return self.read_position(VIEWER_KEY)
 
+    @property
+    def meter(self) -> float:
+        """See `TerrainRoot.meter`."""
+        return self.settings.scale
+
     def blocks(self) -> dict[str, bpy.types.Object]:
         """Return its block objects by `block_name`."""
         return {str(child[BLOCK_KEY]): child for child in self.root.children if BLOCK_KEY in child and child.type == "MESH"}

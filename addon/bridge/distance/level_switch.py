@@ -6,70 +6,22 @@ cross-fade for each camera ray, see `lod_crossfade`. What the camera does not se
 original, which would take the most memory.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import Enum
 
 import bpy
 
 from ...core.distance.forecasts import MARGIN, UNSEEN_EXCESS, UNSEEN_FACTOR
-from ...core.geometry.cameras import Camera
-from ..lod_crossfade import CONSTANT, GROWTH, INSTANCE_CAMERA, INSTANCE_PIXEL, PIXELS, SCENE_PATHS
-from ..objects import drive_by_scene
+from ..active_camera import View, add_view
+from ..geometry.geometry_nodes import TREE, GeometryBuilder
+from ..lod_crossfade import INSTANCE_CAMERA, INSTANCE_PIXEL
 from ..shading.node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
 
 NAME, VERSION = "Farfield Levels by Distance", 6
-VIEW_NAME, VIEW_VERSION = "Farfield Active Camera", 3
-TREE = "GeometryNodeTree"
 MAX_ERROR = "Max Error"  # Input of the modifiers: what a level may leave out, in pixels.
 SEPARATION = 1e-5  # Of the distance, by which levels that fade are moved apart: where surfaces coincide, Cycles misses one of them.
 TINY_BOX = 1e-20  # Size of the bounding box of an instance that has only other instances.
 MAX_NESTING = 4  # Levels of instances of instances, such as of a collection with collections.
-# The tangent of the angle between the view direction and the corners of the image; as large as possible where everything may be seen. Only
-# the functions of simple expressions, without hypot: Blender would not run another driver of a file from elsewhere.
-DIAGONAL = f"1e6 if t!=0 else tan(a/2)/{PIXELS}*sqrt(x*x+y*y)*p/100+sqrt(i*i+j*j)*2*tan(a/2)"
-VIEW_VALUES = {"Growth": GROWTH, "Constant": CONSTANT, "Diagonal": DIAGONAL}
-VIEW_PATHS = SCENE_PATHS | {"i": "camera.data.shift_x", "j": "camera.data.shift_y"}
-# Values of the view that a viewport shows instead of that of the active camera, while it follows the user's: 1, the position, and sizes.
-VIEWPORT_VALUES = ("Follows Viewport", "Viewport X", "Viewport Y", "Viewport Z", "Viewport Growth", "Viewport Constant")
-EVERYTHING = 1e6  # The diagonal of a view to all sides.
-
-
-class GeometryBuilder(NodeBuilder):
-    """Adds geometry nodes to one tree."""
-
-    def call(self, node_type: str, inputs: dict[str | int, object], properties: dict[str, object] | None = None) -> bpy.types.Node:
-        """Add a node and set or connect some of its inputs, by name or index."""
-        node = self.node(node_type, properties or {})
-        for key, value in inputs.items():
-            if isinstance(value, bpy.types.NodeSocket):
-                self.tree.links.new(value, node.inputs[key])
-            else:
-                node.inputs[key].default_value = value
-        return node
-
-    def boolean(self, operation: str, *conditions: SocketOrValue) -> bpy.types.NodeSocket:
-        """Return "AND" or "OR" of two conditions, or "NOT" of one: from Blender 5.2, the node has no second input for that."""
-        return self.call("FunctionNodeBooleanMath", dict(enumerate(conditions)), {"operation": operation}).outputs[0]
-
-    def switch(self, condition: SocketOrValue, if_false: object, if_true: object, input_type: str) -> bpy.types.NodeSocket:
-        """Return one of two values."""
-        return self.call("GeometryNodeSwitch", {0: condition, 1: if_false, 2: if_true}, {"input_type": input_type}).outputs[0]
-
-    def less(self, first: SocketOrValue, second: SocketOrValue) -> bpy.types.NodeSocket:
-        """Return whether a number is smaller than another one."""
-        return self.call("FunctionNodeCompare", {0: first, 1: second}, {"data_type": "FLOAT", "operation": "LESS_THAN"}).outputs[0]
-
-    def transform_point(self, point: SocketOrValue, matrix: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
-        """Transform a point by a matrix."""
-        return self.call("FunctionNodeTransformPoint", {0: point, 1: matrix}).outputs[0]
-
-    def capture_transforms(self, geometry: bpy.types.NodeSocket) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]:
-        """Return instances with their matrices, which points made of them keep, and these matrices."""
-        node = self.node("GeometryNodeCaptureAttribute", {"domain": "INSTANCE"})
-        node.capture_items.new("MATRIX", "Transform")
-        self.tree.links.new(geometry, node.inputs[0])
-        self.tree.links.new(self.node("GeometryNodeInstanceTransform").outputs[0], node.inputs["Transform"])
-        return node.outputs[0], node.outputs["Transform"]
 
 
 class Places(Enum):
@@ -79,27 +31,6 @@ class Places(Enum):
     OBJECT = "Object"
     MATCHING = "Instances"
     ALL = "Places"
-
-
-@dataclass(frozen=True)
-class View:
-    """What the active camera sees.
-
-    Attributes:
-        position: of the camera, in world space.
-        direction: in which it looks, in world space.
-        growth: of the size of a pixel per unit of distance, see `lod_crossfade`; for levels times what they may leave out, in pixels.
-        constant: size of a pixel at the camera, for levels times the same.
-        diagonal: see `DIAGONAL`.
-        is_viewport: whether no render is made.
-    """
-
-    position: bpy.types.NodeSocket
-    direction: bpy.types.NodeSocket
-    growth: bpy.types.NodeSocket
-    constant: bpy.types.NodeSocket
-    diagonal: bpy.types.NodeSocket
-    is_viewport: bpy.types.NodeSocket
 
 
 def ensure_level_switch(count: int, places: Places) -> bpy.types.NodeTree:
@@ -119,7 +50,7 @@ def ensure_level_switch(count: int, places: Places) -> bpy.types.NodeTree:
 def _fill(builder: GeometryBuilder, count: int, places: Places) -> None:
     given, result = builder.node("NodeGroupInput").outputs, builder.node("NodeGroupOutput").inputs[0]
     geometry = given["Geometry"]
-    seen = View(*builder.call("GeometryNodeGroup", {}, {"node_tree": _ensure_view()}).outputs[:6])
+    seen = add_view(builder)
     growth, constant = (builder.math("MULTIPLY", size, given[MAX_ERROR]) for size in (seen.growth, seen.constant))
     view = replace(seen, growth=growth, constant=constant)
     own = builder.call("GeometryNodeObjectInfo", {"Object": builder.node("GeometryNodeSelfObject").outputs[0]})
@@ -253,54 +184,6 @@ def _is_seen(
     is_all_seen = builder.boolean("OR", builder.less(1e5, view.diagonal), builder.less(view.diagonal, 1e-9))  # It is 0 without a camera.
     is_inside = builder.less(distance, radius)
     return builder.boolean("OR", builder.boolean("OR", builder.less(angle, limit), is_inside), is_all_seen)
-
-
-def _ensure_view() -> bpy.types.NodeTree:
-    """Return the node group whose outputs are the fields of `View`."""
-    outputs = [("Position", "Vector"), ("Direction", "Vector"), ("Growth", "Float"), ("Constant", "Float"), ("Diagonal", "Float")]
-    return ensure_shared_group(VIEW_NAME, VIEW_VERSION, [], [*outputs, ("Is Viewport", "Bool")], _fill_view, tree_type=TREE)
-
-
-def _fill_view(builder: NodeBuilder) -> None:
-    builder = GeometryBuilder(builder.tree)
-    camera = builder.node("GeometryNodeInputActiveCamera").outputs[0]
-    info = builder.call("GeometryNodeObjectInfo", {"Object": camera})
-    rotate = builder.call("FunctionNodeRotateVector", {0: (0.0, 0.0, -1.0), 1: info.outputs["Rotation"]})
-    values = [info.outputs["Location"], rotate.outputs[0]]
-    for name, expression in VIEW_VALUES.items():
-        node = builder.node("ShaderNodeValue", {"name": name, "label": name})
-        drive_by_scene(node.outputs[0].driver_add("default_value").driver, expression, VIEW_PATHS)
-        values.append(node.outputs[0])
-    is_viewport = builder.node("GeometryNodeIsViewport").outputs[0]
-    follows, *position, growth, constant = [
-        builder.node("ShaderNodeValue", {"name": name, "label": name}).outputs[0] for name in VIEWPORT_VALUES
-    ]
-    is_following = builder.boolean("AND", is_viewport, builder.less(0.5, follows))
-    of_viewport = (builder.combine(*position), None, growth, constant, EVERYTHING)
-    kinds = ("VECTOR", "", "FLOAT", "FLOAT", "FLOAT")
-    values = [
-        value if other is None else builder.switch(is_following, value, other, kind)
-        for value, other, kind in zip(values, of_viewport, kinds, strict=True)
-    ]
-    values.append(is_viewport)
-    output = builder.node("NodeGroupOutput")
-    for value, target in zip(values, output.inputs, strict=False):
-        builder.tree.links.new(value, target)
-
-
-def follow_viewport(camera: Camera | None) -> None:
-    """Let viewports show levels for a view in place of that of the active camera, or with None for that of the active camera again."""
-    values = [0.0] * len(VIEWPORT_VALUES)
-    if camera is not None:
-        constant = camera.pixel_size(0.0)
-        growth = camera.pixel_size(1.0) if camera.field_of_view else 0.0
-        values = [1.0, *camera.position, growth, constant]
-    for tree in bpy.data.node_groups:
-        if tree.name.startswith(VIEW_NAME) and tree.library is None:
-            for name, value in zip(VIEWPORT_VALUES, values, strict=True):
-                output = tree.nodes[name].outputs[0]
-                if output.default_value != value:
-                    output.default_value = value
 
 
 def level_modifiers(item: bpy.types.Object) -> list[bpy.types.NodesModifier]:

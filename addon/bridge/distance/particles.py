@@ -11,9 +11,10 @@ import mathutils
 import numpy as np
 
 from ..blender import remove_unused_data
+from ..geometry.geometry_nodes import TREE, GeometryBuilder
 from ..lod_sets import KIND
 from ..objects import parent_collection, world_matrix
-from .level_switch import TREE, GeometryBuilder, level_modifiers
+from .level_switch import level_modifiers
 
 SCATTER = "distance_particles"  # The KIND of objects that instance what particles did.
 EMITTER = "farfield_emitter"  # Property of such an object: the object with the particle system.

@@ -6,14 +6,16 @@ from contextlib import contextmanager
 import bpy
 
 from ...compat import read_node_input, set_node_input
+from ..active_camera import VIEW_NAME
 from ..blender import remove_unused_data
+from ..geometry.geometry_nodes import TREE, GeometryBuilder
 from ..lod_sets import KIND
 from ..objects import parent_collection
 from ..rendering.render_properties import ensure_transparent_bounces, estimate_transparent_bounces
 from ..shading.node_builder import NodeBuilder, ensure_shared_group
 from .assets import Asset
 from .chains import CHAIN, HOST, Chain, remove_unused_chains
-from .level_switch import MAX_ERROR, NAME, TREE, VIEW_NAME, GeometryBuilder, Places, ensure_level_switch, level_modifiers
+from .level_switch import MAX_ERROR, NAME, Places, ensure_level_switch, level_modifiers
 from .particles import EMITTER, find_scatters, restore_particles
 
 MODIFIER = "Farfield Distance"

@@ -9,10 +9,9 @@ from dataclasses import dataclass
 import bpy
 
 from .node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
-from .solid_view import show_color
 
 GROUP_NAME = "Farfield Ground"
-GROUP_VERSION = 3
+GROUP_VERSION = 4
 NO_WATER = -1e6  # scene units
 
 
@@ -49,11 +48,12 @@ BREAKUP = 0.35  # How much bumps move the borders between layers, relative to th
 STRATA_WARP = 0.35  # How far noise warps layers of rock, relative to the size of the noise.
 WET_COLOR, WET_ROUGHNESS = 0.45, 0.35  # Of wet ground, relative to dry ground.
 INPUTS = (
-    ("Position", "Vector"), ("Rock", "Color"), ("Strata", "Color"), ("Scree", "Color"), ("Grass", "Color"), ("Undergrowth", "Color"),
-    ("Sand", "Color"), ("Snow", "Color"), ("Water", "Color"), ("Rock Slope", "Float"), ("Scree Width", "Float"), ("Snow Height", "Float"),
-    ("Sand Height", "Float"), ("Water Height", "Float"), ("Clarity", "Float"), ("Size", "Float"), ("Height Blend", "Float"),
-    ("Height Noise", "Float"), ("Slope Blend", "Float"), ("Slope Noise", "Float"), ("Noise Scale", "Float"), ("Strata Scale", "Float"),
-    ("Color Noise", "Float"), ("Roughness", "Float"), ("Bump Size", "Float"), ("Bump Strength", "Float"), ("Distant Bumps", "Float"),
+    ("Position", "Vector"), ("Normal", "Vector"), ("Rock", "Color"), ("Strata", "Color"), ("Scree", "Color"), ("Grass", "Color"),
+    ("Undergrowth", "Color"), ("Sand", "Color"), ("Snow", "Color"), ("Water", "Color"), ("Rock Slope", "Float"),
+    ("Scree Width", "Float"), ("Snow Height", "Float"), ("Sand Height", "Float"), ("Water Height", "Float"), ("Clarity", "Float"),
+    ("Size", "Float"), ("Height Blend", "Float"), ("Height Noise", "Float"), ("Slope Blend", "Float"), ("Slope Noise", "Float"),
+    ("Noise Scale", "Float"), ("Strata Scale", "Float"), ("Color Noise", "Float"), ("Roughness", "Float"), ("Bump Size", "Float"),
+    ("Bump Strength", "Float"), ("Distant Bumps", "Float"),
 )  # fmt: skip
 OUTPUTS = ("Color", "Color"), ("Roughness", "Float"), ("Normal", "Vector")
 LAYERS = ("Rock", "Strata", "Scree", "Grass", "Undergrowth", "Sand", "Snow")  # The inputs that are colors of the ground.
@@ -85,23 +85,22 @@ DEFAULTS = {
 
 
 def add_ground(
-    material: bpy.types.Material, builder: NodeBuilder, position: bpy.types.NodeSocket, values: Mapping[str, SocketOrValue]
-) -> None:
-    """Add the ground at a `position` relative to the terrain to a new material.
+    builder: NodeBuilder, position: bpy.types.NodeSocket, normal: bpy.types.NodeSocket, values: Mapping[str, SocketOrValue]
+) -> bpy.types.NodeSocket:
+    """Add the ground at a `position` relative to the terrain, with a `normal` in world space. Returns its shader.
 
     values: of its inputs, other than `DEFAULTS`.
     """
     group = builder.node("ShaderNodeGroup", {"node_tree": _ensure_ground_group(), "width": 200.0})
     for socket, value in (DEFAULTS | dict(values)).items():
         builder.connect(value, group.inputs[socket])
-    show_color(material, group.inputs["Grass"].default_value)
     builder.connect(position, group.inputs["Position"])
+    builder.connect(normal, group.inputs["Normal"])
     principled = builder.node("ShaderNodeBsdfPrincipled")
     builder.connect(group.outputs["Color"], principled.inputs["Base Color"])
     builder.connect(group.outputs["Roughness"], principled.inputs["Roughness"])
     builder.connect(group.outputs["Normal"], principled.inputs["Normal"])
-    builder.connect(principled.outputs[0], builder.node("ShaderNodeOutputMaterial").inputs["Surface"])
-    builder.arrange()
+    return principled.outputs[0]
 
 
 def _ensure_ground_group() -> bpy.types.NodeTree:
@@ -115,8 +114,7 @@ def _fill_ground_group(builder: NodeBuilder) -> None:
     inputs = builder.node("NodeGroupInput").outputs
     noise_scale = builder.math("DIVIDE", inputs["Noise Scale"], inputs["Size"])
     noise = add_noise(builder, inputs["Position"], noise_scale, 4.0)
-    normal = builder.node("ShaderNodeNewGeometry").outputs["Normal"]
-    normal_z = builder.separate(builder.vector_transform(normal, "NORMAL", "WORLD", "OBJECT"))[2]
+    normal_z = builder.separate(builder.vector_transform(inputs["Normal"], "NORMAL", "WORLD", "OBJECT"))[2]
     position_z = builder.separate(inputs["Position"])[2]
     view_distance = builder.node("ShaderNodeCameraData").outputs["View Distance"]
     distance = builder.math("DIVIDE", view_distance, inputs["Bump Size"])
@@ -158,6 +156,7 @@ def _fill_ground_group(builder: NodeBuilder) -> None:
     builder.connect(inputs["Bump Strength"], bump.inputs["Strength"])
     builder.connect(builder.math("ADD", builder.math("MULTIPLY", bumps.height, softness), joint_height), bump.inputs["Height"])
     bump.inputs["Distance"].default_value = 1.0
+    builder.connect(inputs["Normal"], bump.inputs["Normal"])
     builder.connect(bump.outputs["Normal"], output.inputs["Normal"])
 
 

@@ -11,6 +11,12 @@ PATCH_SIZES = {
     "64": Choice("64", "Patches of about 4,000 triangles: fewer and larger steps of detail"),
 }
 
+VOIDS = {
+    "none": Choice("None", "All voids stay holes, through which the sky is seen"),
+    "small": Choice("Small", "Voids of up to 40,000 samples, but not those along the border"),
+    "all": Choice("All", "All voids, also seas, gaps between files, and the surroundings of the data"),
+}
+
 TEXTURE_FORMATS = {
     "jpeg": Choice("JPEG", "Small files, with further ones for alpha; tiles meet without seams"),
     "webp": Choice("WebP", "Smaller files; faint seams"),
@@ -39,7 +45,7 @@ class BdamSettings(Settings):
     cell_size: float = in_options(1.0, "Meters between two samples of a source without a position", minimum=1e-3, maximum=1e6)
     image_height: float = in_options(100.0, "Meters between black and white of a source that is an image", minimum=1e-3, maximum=1e6)
     allow_gaps: bool = setting(False, "Accept several sources that do not fill their common rectangle; the gaps become holes")
-    fill_holes: bool = setting(False, "Fill unknown heights smoothly from those around them, instead of leaving holes")
+    fill_holes: str = setting("small", "Which voids, areas without known heights, are filled smoothly from their rims", choices=VOIDS)
     texture_format: str = in_options("jpeg", "How texture tiles are coded", choices=TEXTURE_FORMATS)
     texture_quality: int = in_options(
         0,
@@ -49,6 +55,9 @@ class BdamSettings(Settings):
         used_if={"texture_format": ("jpeg", "webp")},
     )
     texture_error: str = in_options("magnification", "What decides how fine textures must be", choices=TEXTURE_ERRORS)
+    normal_maps: bool = in_options(
+        True, "Store the directions of all samples, so that coarse triangles are shaded like the finest ones; about 1.3 bytes per sample"
+    )
     executor: str = in_options("processes", "Where patches are built: serial, processes, or processes:N for N at a time", in_presets=False)
 
 
@@ -74,6 +83,7 @@ class ViewSettings(Settings):
         maximum=100_000_000,
     )
     exaggeration: float = setting(1.0, "Factor of all heights", minimum=0.01, maximum=100.0)
+    curvature: bool = setting(False, "Lower the ground as the curvature of the Earth does, by the distance from the center of the terrain")
     shading: str = setting("texture", "What the colors of the terrain show", choices=SHADINGS)
     culling: bool = setting(
         True, "Keep the terrain coarse where the 3D Viewport does not show it. Renders always have all of it, for shadows and reflections"

@@ -2,6 +2,7 @@
 
 import unicodedata
 from collections.abc import Sequence
+from pathlib import Path
 
 MAX_FILENAME_BYTES = 100  # UTF-8; leaves room for prefixes and suffixes below the 255 that file systems allow
 RESERVED_CHARACTERS = frozenset('<>:"/\\|?*')  # separators, and characters that Windows does not allow
@@ -39,6 +40,11 @@ def unique_filenames(names: Sequence[str]) -> list[str]:
         taken.add(_comparison_key(filename))
         filenames.append(filename)
     return filenames
+
+
+def material_path(path: Path) -> Path:
+    """Return the path of the `.mtl` file of an `.obj` file."""
+    return path.with_name(f"{safe_filename(path.stem)}.mtl")
 
 
 def _is_reserved(character: str) -> bool:

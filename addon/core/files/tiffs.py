@@ -1,12 +1,13 @@
 """Pixels of TIFF files by window: only the strips or tiles that a window touches are read and decoded (TIFF Revision 6.0; BigTIFF).
 
-tifffile parses the header. Uncompressed files, deflate, LZW, PackBits and Zstandard with the predictors 1 to 3 are decoded here, everything
-else by tifffile, as far as it can without the package imagecodecs. imagecodecs would add 26 MB and rasterio 36 MB to the zip of every
-platform, and neither limits memory by window and cache as terrain of any size needs it.
+tifffile parses the header. Uncompressed files, deflate, LZW, PackBits and Zstandard with the predictors 1 to 3 are decoded here, JPEG and
+WebP by Pillow, and everything else by tifffile, as far as it can without the package imagecodecs. imagecodecs would add 26 MB and rasterio
+36 MB to the zip of every platform, and neither limits memory by window and cache as terrain of any size needs it.
 """
 
 import logging
 import math
+import re
 import struct
 import zlib
 from collections.abc import Callable, Iterator
@@ -25,6 +26,7 @@ from .geotiff import GEO_TAGS, GeoReference, has_elevations, read_georeference
 from .height_maps import check_numeric, check_size
 from .segment_cache import SegmentCache
 from .tiff_codecs import MAX_RATIOS, NONE, decode_segment
+from .tiff_pictures import JPEG, WEBP, decode_picture
 
 if TYPE_CHECKING:
     from tifffile import TiffFile, TiffPage
@@ -40,6 +42,8 @@ REDUCED, MASK = 1, 4  # bits of the tag NewSubfileType
 ALPHAS = (1, 2)  # values of the tag ExtraSamples
 MAX_PAGES = 64  # images of a file that are looked at
 AXES = ("YX", "YXS", "SYX")  # Axes of a single image, with its channels last or first.
+UNSUPPORTED = re.compile("imagecodecs|COMPRESSION|PREDICTOR")  # in tifffile's messages about what it cannot decode
+NAMED = re.compile(r"(COMPRESSION|PREDICTOR)\.(\w+)")
 TIFFFILE_ERRORS = (  # raised by tifffile and by decompression for damaged files
     *(ArithmeticError, AttributeError, EOFError, LookupError, RuntimeError, TypeError, ValueError),
     *(LZMAError, struct.error, zlib.error),
@@ -66,7 +70,7 @@ class TiffImage:
         is_tiled, is_planar, is_big_endian: tiles rather than strips; a plane per channel; byte order of the file.
         compression, predictor: values of these tags.
         offsets, byte_counts: (N,) int64, where the segments are, row by row, plane after plane; 0, 0 for one that is not stored.
-        decode_other: tifffile's decoder, for segments that `tiff_codecs` does not decode.
+        decode_other: decodes segments that `tiff_codecs` does not decode.
         page: index of the image in the file.
         mask: the image of the file whose pixels are 0 where those of this one are unknown.
         has_further_images: whether the file contains others that are neither masks nor smaller versions.
@@ -140,6 +144,15 @@ class TiffImage:
         if not self.byte_counts.any():
             raise FileError(f'"{self.path}" contains no pixels: none of its parts is stored; save it again.')
         self._check_ratios()
+        self._check_decoder()
+
+    def _check_decoder(self) -> None:
+        """Raise FileError if the first segment that is stored cannot be decoded, so that nobody waits for it until a build is half done."""
+        if self.decode_other is not None:
+            with convert_tiff_errors(self.path), self.path.open("rb", buffering=0) as file:
+                index = int(np.flatnonzero(self.byte_counts)[0])
+                file.seek(int(self.offsets[index]))
+                self.decode_other(file.read(int(self.byte_counts[index])), index)
 
     def _check_ratios(self) -> None:
         """Raise FileError if a strip or tile has fewer bytes than its pixels can be compressed to. The last strip may be shorter."""
@@ -281,8 +294,10 @@ def convert_tiff_errors(path: Path) -> Iterator[None]:
         with np.errstate(all="ignore"):  # Damaged floats become missing heights.
             yield
     except TIFFFILE_ERRORS as error:
-        if any(word in str(error) for word in ("imagecodecs", "COMPRESSION", "PREDICTOR")):
-            raise FileError(f'"{path}" has an unsupported compression; save it without compression.') from error
+        if UNSUPPORTED.search(str(error)):
+            found = NAMED.search(str(error))
+            name = "an unsupported compression" if found is None else f"the unsupported {found[1].lower()} {found[2]}"
+            raise FileError(f'"{path}" has {name}; save it with deflate, for example by "gdal_translate -co COMPRESS=DEFLATE".') from error
         raise FileError(f'"{path}" cannot be read as a TIFF file: it is damaged or has another format; save it again.') from error
 
 
@@ -315,7 +330,7 @@ def _describe(path: Path, page: "TiffPage", file_size: int) -> TiffImage:
         is_map=has_elevations(tags),
         alpha=alpha,
         georeference=read_georeference(tags),
-        segment_shape=(page.tilelength, page.tilewidth) if page.is_tiled else (min(page.rowsperstrip, rows), columns),
+        segment_shape=_segment_shape(page),
         is_tiled=page.is_tiled,
         is_planar=page.axes == "SYX",
         compression=compression,
@@ -329,8 +344,15 @@ def _describe(path: Path, page: "TiffPage", file_size: int) -> TiffImage:
     )
 
 
+def _segment_shape(page: "TiffPage") -> tuple[int, int]:
+    """Return the rows and columns of a strip or tile."""
+    return (page.tilelength, page.tilewidth) if page.is_tiled else (min(page.rowsperstrip, page.imagelength), page.imagewidth)
+
+
 def _find_decoder(page: "TiffPage") -> Callable[[bytes, int], np.ndarray]:
-    """Return tifffile's decoder of a page; raises ValueError if it has none."""
+    """Return the decoder of a page that is not plain; raises ValueError if there is none."""
+    if page.compression in (JPEG, WEBP) and page.dtype == np.uint8:
+        return _find_picture_decoder(page)
     decode, tables, header = page.decode, page.jpegtables, page.jpegheader
 
     def decode_other(data: bytes, index: int) -> np.ndarray:
@@ -340,6 +362,12 @@ def _find_decoder(page: "TiffPage") -> Callable[[bytes, int], np.ndarray]:
         return values
 
     return decode_other
+
+
+def _find_picture_decoder(page: "TiffPage") -> Callable[[bytes, int], np.ndarray]:
+    shape = *_segment_shape(page), 1 if page.axes == "SYX" else page.samplesperpixel
+    compression, tables, is_ycbcr = int(page.compression), page.jpegtables or b"", page.photometric == YCBCR
+    return lambda data, _index: decode_picture(data, compression, shape, tables, is_ycbcr)
 
 
 def _read_raw(file: BinaryIO, offset: int, pixel: np.dtype, shape: tuple[int, int, int], within: tuple[slice, slice]) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Images as bytes: JPEG, WebP, PNG and raw pixels, coded with Pillow, without Blender.
+"""Images as bytes: JPEG, WebP (with loss, or `lossless`), PNG and raw pixels, coded with Pillow, without Blender.
 
 Arrays are (H, W, 3) or (H, W, 4) uint8, row 0 at the bottom as everywhere in Farfield, with straight alpha; the first row of the coded
 image is the top one. Pixels are as stored: color profiles and the orientation of cameras are neither written nor applied.
@@ -28,7 +28,7 @@ from ..files.complete_files import PNG_SIGNATURE
 if TYPE_CHECKING:
     from PIL.ImageFile import ImageFile
 
-ImageFormat = Literal["jpeg", "webp", "png", "raw"]
+ImageFormat = Literal["jpeg", "webp", "lossless", "png", "raw"]
 FORMATS: tuple[ImageFormat, ...] = get_args(ImageFormat)
 DEFAULT_QUALITY = 85
 MAX_PIXELS = 2**29  # An image of 23,170 x 23,170 pixels is decoded at once.
@@ -36,6 +36,7 @@ MAX_RATIO = 35_000  # Decoded bytes per byte of a JPEG or PNG file, see image_fi
 MAX_CODED_RATIO = 2  # Bytes of a coded image per byte of its pixels.
 PNG_COMPRESSION = 3  # zlib level; higher ones cost much time and save little in photographs
 WEBP_METHOD = 0  # the fastest; method 4 takes two to three times as long for files that are a few percent smaller
+LOSSLESS_METHOD, LOSSLESS_EFFORT = 1, 20  # Of WebP without loss; more than that takes time and saves nothing in normal maps.
 RAW_MAGIC, RAW_HEADER = b"FFPIXELS", struct.Struct("<8sHHI")
 JPEG_START, RIFF_START = b"\xff\xd8\xff", b"RIFF"  # first bytes of JPEG and of WebP files
 MODES = {"1": "RGB", "L": "RGB", "P": "RGB", "RGB": "RGB", "LA": "RGBA", "PA": "RGBA", "RGBA": "RGBA", "RGBX": "RGB"}
@@ -67,7 +68,7 @@ def encode(image: np.ndarray, image_format: ImageFormat, quality: int = DEFAULT_
     height, width, channels = image.shape
     if image_format == "jpeg" and channels != 3:
         raise ImageError("JPEG images have no alpha; choose WebP, PNG or raw pixels.")
-    if max(height, width) > (16383 if image_format == "webp" else 65535) or not image.size:
+    if max(height, width) > (16383 if image_format in ("webp", "lossless") else 65535) or not image.size:
         raise ImageError(f"An image of {width} x {height} pixels cannot be coded as {image_format}; use smaller tiles.")
     if image_format == "raw":
         return RAW_HEADER.pack(RAW_MAGIC, width, height, channels) + np.ascontiguousarray(image, np.uint8).tobytes()
@@ -178,6 +179,8 @@ def _save(image: np.ndarray, image_format: str, quality: int, compression: int) 
         picture.save(file, "JPEG", quality=quality, subsampling=0, optimize=True)
     elif image_format == "webp":
         picture.save(file, "WEBP", quality=quality, method=WEBP_METHOD, exact=True)
+    elif image_format == "lossless":
+        picture.save(file, "WEBP", lossless=True, quality=LOSSLESS_EFFORT, method=LOSSLESS_METHOD, exact=True)
     else:
         picture.save(file, "PNG", compress_level=compression)
     return file.getvalue()

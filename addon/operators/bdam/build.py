@@ -18,7 +18,7 @@ from ...core.files.outputs import Input, Output
 from ...core.files.scratch import Scratch
 from ...core.heights.readers import OPENERS
 from ...core.jobs.progress import Progress, Steps
-from ...core.messages import format_count, join_sentences
+from ...core.messages import join_sentences
 from .. import long_work, properties, start_job
 from ..error_reports import reports_errors
 from ..file_browser import open_file_browser, propose_folder, remember_folder
@@ -166,20 +166,11 @@ class BuildJob:
         yield Progress(0.0, "Built")
         size = f"{core_result.columns:,} by {core_result.rows:,} heights"
         message = f'"{self.store.name}": {size} in {core_result.patches:,} patches, {core_result.bytes / 1e6:,.1f} MB.'
-        sentences = [describe_holes(core_result, self.settings)]  # The panel shows the first sentences: what the user has to know.
+        sentences = [core_result.describe_voids()]  # The panel shows the first sentences: what the user has to know.
         if self.directory:
             scene, area = find_viewport(self.area_address)
             sentences.append((yield from run_job(prepare_load(scene, self.directory, self.view_settings, area))))
         return join_sentences([*sentences, message, *core_result.warnings])
-
-
-def describe_holes(report: BuildReport, settings: BdamSettings) -> str:
-    """Return a sentence about unknown heights, empty if there are none."""
-    if not report.holes:
-        return ""
-    fraction = report.holes / (report.rows * report.columns)
-    unknown = f"{fraction:.1%} of the heights are unknown" if fraction >= 0.001 else f"{format_count(report.holes, 'height')} unknown"
-    return f"{unknown} and were filled." if settings.fill_holes else f"{unknown}: they are holes, unless Fill Holes is on."
 
 
 class FARFIELD_OT_bdam_build(start_job.StartJob, bpy.types.Operator):

@@ -8,13 +8,13 @@ import bpy
 
 from ...bridge.bdam import freezing as freezing_bridge
 from ...bridge.bdam import objects as terrain_objects
-from ...bridge.bdam.materials import TextureMaterials, remove_unused
+from ...bridge.bdam.materials import TileMaterials, remove_unused
 from ...bridge.bdam.objects import SceneTerrain
 from ...bridge.viewers import camera_viewer
 from ...core.bdam.settings import FreezePathSettings, FreezeSettings, ViewSettings
 from ...core.bdam.view.engine import BdamEngine
 from ...core.bdam.view.freezing import FrozenMesh, choose_path_cut, describe_limit, freeze_cut, join
-from ...core.errors import FarfieldError, GeometryError, SettingsError
+from ...core.errors import GeometryError, SettingsError
 from ...core.geometry.viewers import Viewer
 from ...core.jobs.progress import Progress, Steps, subprogress
 from ...core.messages import format_count, join_sentences
@@ -101,21 +101,23 @@ class FreezePathJob:
                 raise GeometryError(f'The terrain "{self.terrain.name}" has no triangles that can be read; verify its store.')
             yield Progress(MESHES_FRACTION, "Joining meshes")
             meshes = [join(meshes)] if self.settings.joined else meshes
-            materials = TextureMaterials(core_result.identity)
+            check_exists(self.terrain)
+            materials = TileMaterials(core_result, self.terrain.name)
+            general = self.terrain.ensure_material(
+                "slope" if self.view_settings.shading == "texture" else self.view_settings.shading, core_result
+            )
             numbers = sorted({key for mesh in meshes for key in mesh.materials if key is not None})
             for index, number in enumerate(numbers):
                 yield Progress(MESHES_FRACTION + (1.0 - MESHES_FRACTION) * index / len(numbers), "Creating materials")
-                try:
-                    materials.ensure(number, f"{self.terrain.name} {core_result.texture_label(number)}", core_result.read_texture(number))
-                except FarfieldError as error:
-                    damages = (*damages, str(error))
+                if materials.find(number) is None:
+                    maps, of_maps = core_result.read_maps(number)
+                    damages = (*damages, *of_maps)
+                    materials.create(number, self.terrain.name, maps, general, self.terrain.root)
             yield Progress(1.0, "Creating objects")
             check_exists(self.terrain)
-            shading = "slope" if self.view_settings.shading == "texture" else self.view_settings.shading
 
             def find_material(key: Key) -> bpy.types.Material | None:
-                material = None if key is None else materials.find(key)
-                return material or self.terrain.ensure_material(shading, core_result)
+                return (None if key is None else materials.find(key)) or general
 
             self.object_names, message = create_objects(self.terrain, meshes, self.settings, find_material)
             remove_unused()

@@ -204,7 +204,7 @@ def prepare(context: bpy.types.Context, terrain: SceneTerrain, settings: GroundS
         surface = MeshSurface([(tile.vertices.astype(np.float64) + tile.location, tile.triangles) for tile in tiles])
         return DropJob(surface, space, settings, names, starts, points, skipped)
     exaggeration = terrain.settings.exaggeration
-    store = TerrainStore(terrain.folder)
+    store = TerrainStore(terrain.folder, terrain.settings.curvature)
     return DropJob(StoreSurface(store, exaggeration), space, settings, names, starts, points, skipped, store)
 
 

@@ -5,7 +5,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ...bridge.distance.level_switch import follow_viewport
+from ...bridge.active_camera import follow_viewport
 from ...bridge.distance.placing import has_levels
 from ...bridge.viewers import viewport_camera
 from ...core.geometry.cameras import Camera

@@ -4,12 +4,14 @@ GeoTIFF files are read by window from where they are. JPEG, PNG and WebP files c
 files in the work folder, which workers read by window without mapping them.
 
 The position of an image without tags may be in a world file (`heights.positions`), which does not declare the coordinate reference system.
+An image in another one is warped, if both are degrees, UTM or Web Mercator.
 """
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,12 +22,16 @@ from ...files.geotiff import GeoReference
 from ...files.segment_cache import SegmentCache
 from ...files.tiffs import TiffImage, open_tiff
 from ...geometry.placements import Placement
+from ...geometry.reprojection import find_projection
 from ...heights.positions import Position, complete_georeference, find_position
 from ...imaging.coded_images import read_coded_image, read_coded_shape
 from ..textures.resampling import PlacedImage
 from .height_grid import read_window
 from .tiff_colors import TiffColors, check_colors
+from .warped_images import Warp, WarpedPixels, plan_warp
 
+Numbers = tuple[float, float]
+Axes = tuple[Numbers, Numbers]  # the outer corner of the first pixel, and the steps along x and y
 TIFF_EXTENSIONS, CODED_EXTENSIONS = (".tif", ".tiff"), (".jpg", ".jpeg", ".png", ".webp")
 
 
@@ -38,6 +44,7 @@ class GroundImage:
         raw: name in the work folder of the file with the decoded pixels, None for TIFF files.
         shape: rows, columns, channels.
         corner, step: position on the field, see `PlacedImage`.
+        warp: how an image in another projection lies there, None for all others; corner and step are those of its grid.
         warnings: sentences for the user.
     """
 
@@ -46,7 +53,13 @@ class GroundImage:
     shape: tuple[int, int, int]
     corner: tuple[float, float]
     step: tuple[float, float]
+    warp: Warp | None = None
     warnings: tuple[str, ...] = ()
+
+    @classmethod
+    def from_json(cls, values: dict[str, Any]) -> "GroundImage":
+        """Return an image from its fields, as `dataclasses.asdict` and JSON give them."""
+        return cls(**values | {"warp": None if values["warp"] is None else Warp.from_json(values["warp"])})
 
     @property
     def raw_bytes(self) -> int:
@@ -69,12 +82,12 @@ class RawPixels:
 def place_images(paths: Sequence[Path], field: Placement, shape: tuple[int, int]) -> list[GroundImage]:
     """Find where image files lie on a field with rows and columns `shape`. Only their headers are read.
 
-    An image with a position must have the coordinate reference system of the field; that of a world file is taken to be the same. A single
-    image without a position is stretched over the whole field.
+    An image in another coordinate reference system than the field is warped; that of a world file is taken to be the same. A single image
+    without a position is stretched over the whole field.
 
     Raises:
-        FileError: an image cannot be read, is rotated, lies elsewhere or in another coordinate reference system, or one of several
-            images has no position.
+        FileError: an image cannot be read, is rotated, lies elsewhere or in a coordinate reference system that cannot be warped to that of
+            the field, or one of several images has no position.
     """
     return [_place_image(path, index, len(paths) == 1, field, shape) for index, path in enumerate(paths)]
 
@@ -110,6 +123,8 @@ def open_image(image: GroundImage, folder: Path, cache: SegmentCache) -> PlacedI
         source = RawPixels(folder / image.raw, tuple(image.shape))
     else:
         source = TiffColors(_open_color_tiff(Path(image.path)), cache)
+    if image.warp is not None:
+        source = WarpedPixels(source, image.warp)
     return PlacedImage(source, tuple(image.corner), tuple(image.step))
 
 
@@ -128,43 +143,64 @@ def _place_image(path: Path, index: int, is_single: bool, field: Placement, shap
     else:
         endings = ", ".join((*TIFF_EXTENSIONS, *CODED_EXTENSIONS))
         raise FileError(f'"{path}" cannot be used as a texture; its name must end in one of {endings}.')
-    position = find_position(path, complete_georeference(path, reference), size[:2], 1.0)
+    completed = complete_georeference(path, reference)
+    position, warp = find_position(path, completed, size[:2], 1.0), None
     if position.placement.is_placed:
-        corner, step = _place_on_map(path, position, reference.affine is not None, size[:2], field, shape)
+        is_declared = reference.affine is not None or completed.has_unit or position.placement.is_geographic
+        axes = _find_axes(position, size[:2], is_reversed=raw is not None)
+        corner, step, warp = _place_on_map(path, position.placement, axes, is_declared, size[:2], field, shape)
+        if warp is not None:
+            warnings = (*warnings, f'"{path}" is warped from {position.placement.crs} to {field.crs}.')
     elif is_single:
-        corner, step = (0.0, float(shape[0] - 1)), ((shape[1] - 1) / size[1], -(shape[0] - 1) / size[0])
+        height = float(shape[0] - 1)
+        corner, step = (0.0, 0.0 if raw else height), ((shape[1] - 1) / size[1], (height if raw else -height) / size[0])
     else:
         raise FileError(f'"{path}" has no position, so it cannot be joined with other images; add a world file, or use a GeoTIFF.')
-    if raw is not None:  # its first row is the southern one
-        corner, step = (corner[0], corner[1] + step[1] * size[0]), (step[0], -step[1])
-    return GroundImage(str(path.absolute()), raw, size, corner, step, warnings)
+    return GroundImage(str(path.absolute()), raw, size, corner, step, warp, warnings)
+
+
+def _find_axes(position: Position, size: tuple[int, int], is_reversed: bool) -> Axes:
+    """Return the outer corner of pixel (row 0, column 0) and the steps of an image with rows and columns `size` on its map.
+
+    is_reversed: whether rows are read from the last one of the file on.
+    """
+    first, step = position.placement.first, position.placement.step
+    corner = first[0] - 0.5 * step[0], first[1] - 0.5 * step[1]
+    if position.is_south_up != is_reversed:
+        return corner, step
+    return (corner[0], corner[1] + step[1] * size[0]), (step[0], -step[1])
 
 
 def _place_on_map(
-    path: Path, position: Position, is_declared: bool, size: tuple[int, int], field: Placement, shape: tuple[int, int]
-) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the outer corner of the first pixel and the steps of an image in grid coordinates. is_declared: whether it has a coordinate
-    reference system of its own."""
+    path: Path, placement: Placement, axes: Axes, is_declared: bool, size: tuple[int, int], field: Placement, shape: tuple[int, int]
+) -> tuple[Numbers, Numbers, Warp | None]:
+    """Return the outer corner of the first pixel and the steps of an image in grid coordinates of the field, and how it is warped.
+
+    is_declared: whether the image has a coordinate reference system of its own.
+    """
     if not field.is_placed:
         raise FileError(f'"{path}" has a position on a map but the elevation model has none; use an elevation model with a position.')
-    placement = position.placement
-    if is_declared and placement.has_other_crs(field):
-        raise FileError(
-            f'"{path}" and the elevation model have different projections ({placement.crs} and {field.crs}); warp the image to that of '
-            "the elevation model."
-        )
-    first, step = list(placement.first), placement.step
-    if field.is_geographic:
-        center = field.position((shape[1] - 1) / 2.0, 0.0)[0]
-        first[0] -= 360.0 * round((first[0] + 0.5 * step[0] * size[1] - center) / 360.0)
-    scale = tuple(step[axis] / field.step[axis] for axis in range(2))
-    corner = tuple((first[axis] - 0.5 * step[axis] - field.first[axis]) / field.step[axis] for axis in range(2))
-    counts, ends = (size[1], size[0]), (shape[1] - 1, shape[0] - 1)
-    if not all(corner[axis] < ends[axis] and corner[axis] + scale[axis] * counts[axis] > 0.0 for axis in range(2)):
-        raise FileError(f'"{path}" lies outside of the elevation model; check its position, or leave it out.')
-    if position.is_south_up:
-        return corner, scale
-    return (corner[0], corner[1] + scale[1] * size[0]), (scale[0], -scale[1])
+    projections, warp = (find_projection(placement), find_projection(field)), None
+    if is_declared and placement.has_other_crs(field) and (None in projections or projections[0] != projections[1]):
+        if None in projections:
+            raise FileError(
+                f'"{path}" and the elevation model have different projections ({placement.crs} and {field.crs}), not both of which are '
+                "degrees, UTM or Web Mercator; warp the image to that of the elevation model."
+            )
+        warp = plan_warp(placement, *axes, size, field, shape)
+        if warp is not None:
+            return warp.corner, warp.step, warp
+    else:
+        (west, y), step = axes
+        if field.is_geographic:
+            center = field.position((shape[1] - 1) / 2.0, 0.0)[0]
+            west -= 360.0 * round((west + 0.5 * step[0] * size[1] - center) / 360.0)
+        corner = (west - field.first[0]) / field.step[0], (y - field.first[1]) / field.step[1]
+        step = step[0] / field.step[0], step[1] / field.step[1]
+        ends = corner[0] + step[0] * size[1], corner[1] + step[1] * size[0]
+        if all(min(corner[axis], ends[axis]) < shape[1 - axis] - 1 and max(corner[axis], ends[axis]) > 0.0 for axis in range(2)):
+            return corner, step, None
+    raise FileError(f'"{path}" lies outside of the elevation model; check its position, or leave it out.')
 
 
 def _open_color_tiff(path: Path) -> TiffImage:

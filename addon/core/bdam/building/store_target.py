@@ -13,7 +13,7 @@ from ...files.temporary_folders import temporary_folder
 from ...jobs.job_folder import JOB_FILE
 from ...messages import list_first
 from ..store.structure import STRUCTURE_FILE, find_structure
-from ..store.terrain_store import GEOMETRY_FILE, TEXTURE_FOLDER
+from ..store.terrain_store import GEOMETRY_FILE, NORMALS_FOLDER, TEXTURE_FOLDER
 from ..textures import store as texture_store
 
 WORK_SUFFIX, OLD_SUFFIX = ".farfield-build", ".farfield-replaced"  # hidden folders next to a store are called `.NAME.farfield-build`
@@ -130,7 +130,7 @@ def _find_other_files(folder: Path) -> list[str]:
     allowed = SYSTEM_FILES | (STORE_FILES if find_structure(folder) is not None else set())
     others = []
     for path in folder.iterdir():
-        if path.name == TEXTURE_FOLDER and allowed > SYSTEM_FILES and path.is_dir() and not path.is_symlink():
+        if path.name in (TEXTURE_FOLDER, NORMALS_FOLDER) and allowed > SYSTEM_FILES and path.is_dir() and not path.is_symlink():
             others += [f"{path.name}/{inner.name}" for inner in path.iterdir() if inner.name not in TEXTURE_FILES | SYSTEM_FILES]
         elif path.name not in allowed or (path.is_dir() and not path.is_symlink()):
             others.append(path.name)

@@ -1,7 +1,7 @@
 """The tasks of a build: one task simplifies some diamonds of a level, encodes leaves, or makes texture tiles.
 
-`core.jobs.task_pool` calls them. An item is [level, shard], or ["texture", level, [[i, j], ...]] with tiles of the texture quadtree; the
-reply is null, the results are files in the work folder. A task whose shard exists is skipped.
+`core.jobs.task_pool` calls them. An item is [level, shard], or ["texture", name, level, [[i, j], ...]] with tiles of textures or of normal
+maps; the reply is null, the results are files in the work folder. A task whose shard exists is skipped.
 """
 
 from collections.abc import Callable

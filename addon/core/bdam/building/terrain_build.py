@@ -9,8 +9,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from ...errors import FarfieldError, FileError
+from ...files.atomic_write import TEMPORARY_SUFFIX
 from ...files.file_access import convert_os_errors, folder_bytes
-from ...files.sealed_files import validate_or_remove, write_sealed
+from ...files.sealed_files import read_sealed, validate_or_remove, write_sealed
 from ...geometry.placements import GeographicFrame
 from ...jobs.executors import Executor, parse_executor
 from ...jobs.heartbeat import take_over
@@ -21,23 +22,26 @@ from ...messages import format_bytes
 from ..fields.terrain_field import TerrainField
 from ..settings import BdamSettings
 from ..store.structure import Level, StoreHeader
+from ..store.terrain_store import TEXTURE_FOLDER
 from .finish import write_geometry
 from .heights import choose_height_step, fill_holes, write_heights
 from .store_target import check_target, delete_work_folder, recover_store, replace_store, work_folder_path
-from .texture_stage import TextureWork, build_texture_tiles, decode_images, plan_textures, write_texture_store
-from .work_folder import HEIGHTS_FILE, PARAMETERS_FILE, BuildParameters, LevelLayout, WorkFolder
+from .texture_stage import TextureWork, build_texture_tiles, decode_images, has_normal_maps, plan_maps, write_texture_store
+from .voids import VoidCounts, count_voids, fill_small_voids
+from .work_folder import ADVICE, HEIGHTS_FILE, PARAMETERS_FILE, BuildParameters, LevelLayout, WorkFolder
 
 TASKS_MODULE = "addon.core.bdam.building.tasks"
-FORMAT_VERSION = 5  # version of the files in a work folder
-FILLED_FILE = "heights.filled"  # marks that holes were filled
+FORMAT_VERSION = 6  # version of the files in a work folder
+VOIDS_FILE = "heights.voids"  # the counts of voids
+FILLED_FILE = "heights.filled"  # marks that voids were filled
 DIAMONDS_PER_SHARD = {16: 96, 32: 24, 64: 6}  # by cells of a leaf: as many samples; workers need up to 240 MB
 GRADIENT_STEP = 1.0 / 64.0  # meters of height per meter
 READ_END, FINISH_START = 0.05, 0.95  # progress at which heights are read, and at which the store is written
 TEXEL_COST = 0.05  # seconds of a texel relative to those of a sample, for the progress
 HEIGHT_BYTES = 4.0  # per sample, in the work folder
-FILL_BYTES = 7.0  # per sample, for the levels of hole filling
 GEOMETRY_BYTES = 16.0  # per sample: patches of two levels, coded patches, and their copy in the store
-TEXEL_BYTES = {"jpeg": 2.5, "webp": 2.5, "raw": 11.0}  # per texel of the finest level: tiles, their copy in the store, pieces of one level
+# Per texel of the finest level: tiles, their copy in the store, pieces of one level.
+TEXEL_BYTES = {"jpeg": 2.5, "webp": 2.5, "raw": 11.0, "lossless": 4.5}
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,8 @@ class BuildReport:
         crs: the coordinate reference system in words.
         rows, columns: samples.
         holes: unknown samples of the sources.
+        voids: areas that they form, filled or left as holes.
+        cell_size: nominal meters between two samples.
         patches, triangles: numbers at all levels.
         tiles: texture tiles.
         bytes: size of the store.
@@ -61,12 +67,18 @@ class BuildReport:
     rows: int
     columns: int
     holes: int
+    voids: VoidCounts
+    cell_size: float
     patches: int
     triangles: int
     tiles: int
     bytes: int
     seconds: Mapping[str, float]
     warnings: tuple[str, ...]
+
+    def describe_voids(self) -> str:
+        """Return one sentence about voids, empty if there are none."""
+        return self.voids.describe(self.cell_size)
 
 
 def build_terrain(
@@ -95,83 +107,102 @@ def build_terrain(
     recover_store(out)
     clock = StageClock()
     header = _create_header(field, settings, has_texture=bool(images))
-    textures = plan_textures(field, header.tree, images, settings)
+    maps = plan_maps(field, header.tree, images, settings)
     folder = work_folder_path(out)
-    _check_free_space(out, _estimate_bytes(header, textures, settings), folder)
+    _check_free_space(out, _estimate_bytes(header, maps), folder)
     leaf_cells = header.leaf_cells
     curvature = header.create_frame().measure_curvature((header.rows, header.columns))
     parameters = BuildParameters(header.rows, header.columns, leaf_cells, header.gradient_step, DIAMONDS_PER_SHARD[leaf_cells], curvature)
     work = WorkFolder(folder, parameters)
-    fingerprint = _fingerprint(header, [*sources, *images], textures, settings)
+    fingerprint = _fingerprint(header, [*sources, *images], maps, settings)
     open_job_folder(folder, fingerprint, "the build of another terrain or with other settings")
     with closing(take_over(folder)) as held:
         remove_temporary_files(folder)
         write_sealed(folder / PARAMETERS_FILE, work.parameters_content)
         with clock.stage("heights"):
-            holes = yield from subprogress(_read_sources(field, work, header, settings, textures), 0.0, READ_END)
+            holes, voids = yield from subprogress(_read_sources(field, work, header, settings, maps), 0.0, READ_END)
         with executor.open_task_pool(TASKS_MODULE, [str(folder)], held, "parts") as pool:
-            texture_end = READ_END + (FINISH_START - READ_END) * _texture_fraction(header, textures)
-            if textures is not None:
-                with clock.stage("textures"):
-                    has_holes = bool(holes) and not settings.fill_holes
-                    yield from subprogress(build_texture_tiles(textures, work, pool, has_holes), READ_END, texture_end)
+            start, fractions = READ_END, _map_fractions(header, maps)
+            for textures, fraction in zip(maps, fractions, strict=True):
+                end = start + (FINISH_START - READ_END) * fraction
+                with clock.stage(textures.name):
+                    yield from subprogress(build_texture_tiles(textures, header, work, pool, voids.left > 0), start, end)
+                start = end
             with clock.stage("patches"):
-                layouts = yield from subprogress(_build_levels(work, pool), texture_end, FINISH_START)
-        tiles = 0
+                layouts = yield from subprogress(_build_levels(work, pool), start, FINISH_START)
+        counts = {TEXTURE_FOLDER: 0}
         with clock.stage("store"), replace_store(out) as target:
             target.mkdir()
             levels = yield from subprogress(write_geometry(work, layouts, header, target), FINISH_START, 1.0)
-            if textures is not None:
-                tiles = yield from subprogress(write_texture_store(work, textures.plan, target), FINISH_START, 1.0)
+            for textures in maps:
+                counts[textures.name] = yield from subprogress(write_texture_store(textures, work, target), FINISH_START, 1.0)
     delete_work_folder(folder)
-    return _create_report(field, header, levels, holes, tiles, out, clock, textures)
+    return _create_report(field, header, levels, (holes, voids), counts[TEXTURE_FOLDER], out, clock, maps)
 
 
 def _read_sources(
-    field: TerrainField, work: WorkFolder, header: StoreHeader, settings: BdamSettings, textures: TextureWork | None
-) -> Steps[int]:
-    """Write the heights to the work folder, filled if the settings say so, and decode images. Returns the number of unknown samples.
+    field: TerrainField, work: WorkFolder, header: StoreHeader, settings: BdamSettings, maps: Sequence[TextureWork]
+) -> Steps[tuple[int, VoidCounts]]:
+    """Write the heights to the work folder, filled as the settings say, and decode images. Return the number of unknown samples and voids.
 
     A source that cannot be read leaves no work folder behind, since nothing in it is of use.
     """
     path = work.path / HEIGHTS_FILE
     try:
         holes = yield from subprogress(write_heights(field, path, header.height_step), 0.0, 0.6)
-        if textures is not None:
+        for textures in maps:
             yield from subprogress(decode_images(textures, work), 0.6, 0.8)
     except FarfieldError:
         delete_work_folder(work.path)
         raise
-    filled = work.path / FILLED_FILE
-    if settings.fill_holes and holes and not filled.exists():
-        yield from subprogress(fill_holes(work.grid), 0.8, 1.0)
+    voids = VoidCounts()
+    if holes:
+        voids = yield from subprogress(_fill_voids(work, settings.fill_holes), 0.8, 1.0)
+    return holes, voids
+
+
+def _fill_voids(work: WorkFolder, which: str) -> Steps[VoidCounts]:
+    """Fill voids, unless that was done before. which: see `settings.VOIDS`."""
+    path, filled = work.path / VOIDS_FILE, work.path / FILLED_FILE
+    if not filled.exists():
+        temporary = work.grid.path.with_name(work.grid.path.name + TEMPORARY_SUFFIX)
+        steps = count_voids(work.grid) if which == "none" else fill_small_voids(work.grid, temporary)
+        counts = yield from subprogress(steps, 0.0, 0.5)
+        if not path.exists():  # Nothing is left to count once the file has replaced the grid.
+            write_sealed(path, json.dumps(asdict(counts)).encode())
+        if which != "none":
+            with convert_os_errors(f'"{temporary}" cannot be renamed'):
+                temporary.replace(work.grid.path)
+        if which == "all":
+            yield from subprogress(fill_holes(work.grid), 0.5, 1.0)
         write_sealed(filled, b"")
-    return holes
+    counts = VoidCounts(**json.loads(read_sealed(path, ADVICE)))
+    return counts.all_filled() if which == "all" else counts
 
 
-def _estimate_bytes(header: StoreHeader, textures: TextureWork | None, settings: BdamSettings) -> int:
+def _estimate_bytes(header: StoreHeader, maps: Sequence[TextureWork]) -> int:
     """Return about how many bytes the work folder and the store of a build take together at most."""
-    needed = header.rows * header.columns * (HEIGHT_BYTES + GEOMETRY_BYTES + (FILL_BYTES if settings.fill_holes else 0.0))
-    if textures is not None:
-        needed += textures.texels * TEXEL_BYTES[settings.texture_format] + sum(image.raw_bytes for image in textures.images)
+    needed = header.rows * header.columns * (HEIGHT_BYTES + GEOMETRY_BYTES)
+    for textures in maps:
+        needed += textures.texels * TEXEL_BYTES[textures.plan.image_format] + sum(image.raw_bytes for image in textures.images)
     return int(needed)
 
 
-def _texture_fraction(header: StoreHeader, textures: TextureWork | None) -> float:
-    """Return which part of the time for textures and patches textures take, roughly."""
-    cost = 0.0 if textures is None else TEXEL_COST * textures.texels
-    return cost / (cost + header.rows * header.columns)
+def _map_fractions(header: StoreHeader, maps: Sequence[TextureWork]) -> list[float]:
+    """Return which part of the time for maps and patches each of the maps takes, roughly."""
+    costs = [TEXEL_COST * textures.texels for textures in maps]
+    return [cost / (sum(costs) + header.rows * header.columns) for cost in costs]
 
 
 def _create_report(
     field: TerrainField,
     header: StoreHeader,
     levels: list[Level],
-    holes: int,
+    unknown: tuple[int, VoidCounts],
     tiles: int,
     out: Path,
     clock: StageClock,
-    textures: TextureWork | None,
+    maps: Sequence[TextureWork],
 ) -> BuildReport:
     with convert_os_errors(f'"{out}" cannot be read'):
         size = folder_bytes(out)
@@ -180,13 +211,15 @@ def _create_report(
         crs=header.crs,
         rows=header.rows,
         columns=header.columns,
-        holes=holes,
+        holes=unknown[0],
+        voids=unknown[1],
+        cell_size=header.cell_size,
         patches=sum(len(level.indices) for level in levels),
         triangles=sum(int(level.counts[:, 1].sum()) for level in levels),
         tiles=tiles,
         bytes=size,
         seconds=dict(clock.seconds),
-        warnings=(*field.warnings, *(() if textures is None else textures.warnings)),
+        warnings=(*field.warnings, *(warning for textures in maps for warning in textures.warnings)),
     )
 
 
@@ -207,14 +240,15 @@ def _create_header(field: TerrainField, settings: BdamSettings, has_texture: boo
         field.frame.step,
         field.frame.origin,
         has_texture,
+        has_normal_maps(settings),
     )
 
 
-def _fingerprint(header: StoreHeader, files: Sequence[Path], textures: TextureWork | None, settings: BdamSettings) -> str:
+def _fingerprint(header: StoreHeader, files: Sequence[Path], maps: Sequence[TextureWork], settings: BdamSettings) -> str:
     with convert_os_errors("A source cannot be read"):
         described = [(str(path.resolve()), path.stat().st_size, path.stat().st_mtime_ns) for path in files]
-    texture = None if textures is None else [asdict(textures.plan), [asdict(image) for image in textures.images]]
-    content = json.dumps([FORMAT_VERSION, asdict(header), described, texture, settings.fill_holes], sort_keys=True)
+    planned = [asdict(textures) for textures in maps]
+    content = json.dumps([FORMAT_VERSION, asdict(header), described, planned, settings.fill_holes], sort_keys=True)
     return hashlib.sha256(content.encode("utf-8", "surrogatepass")).hexdigest()
 
 

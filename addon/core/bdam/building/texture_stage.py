@@ -1,9 +1,11 @@
-"""The textures of a build: what is built from which images, in tasks from the finest level to the coarsest, and these tasks."""
+"""The textures and normal maps of a build: what is built from which images, in tasks from the finest level to the coarsest, and these
+tasks."""
 
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from functools import cached_property
+from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -15,29 +17,37 @@ from ...jobs.progress import Progress, Steps, subprogress
 from ...jobs.task_pool import TaskPool
 from ..fields.terrain_field import TerrainField
 from ..settings import BdamSettings
-from ..store.terrain_store import TEXTURE_FOLDER
+from ..store.structure import StoreHeader
+from ..store.terrain_store import NORMALS_FOLDER, TEXTURE_FOLDER
 from ..textures.build import build_tiles, discard_pieces, list_tiles, missing_tiles
 from ..textures.grid import MAX_COARSER, TextureGrid, count_levels
 from ..textures.plan import TexturePlan, check_plan, parse_plan
-from ..textures.resampling import PlacedImage
+from ..textures.resampling import ImageSource, PlacedImage
 from ..textures.store import write_textures
 from ..tree import Tree
 from .ground_images import GroundImage, decode_image, open_image, place_images
 from .height_grid import HeightGrid
+from .sample_normals import SampleNormals
 from .work_folder import ADVICE, WorkFolder
 
 TILES_PER_TASK = 8
 TEXTURE_TASK = "texture"  # first element of the items of these tasks
-TASKS_FILE, TEXTURES_FOLDER = "textures.json", "textures"
 CACHE_BYTES = 48 << 20  # bytes of decoded parts of TIFF files that a worker keeps
 
 
 @dataclass(frozen=True)
 class TextureWork:
-    """The textures of a build. images: later ones lie over earlier ones."""
+    """The textures or the normal maps of a build.
+
+    Attributes:
+        plan: what is built.
+        images: of textures; later ones lie over earlier ones.
+        name: of the folders with the tiles, in the work folder and in the store.
+    """
 
     plan: TexturePlan
-    images: tuple[GroundImage, ...]
+    images: tuple[GroundImage, ...] = ()
+    name: str = TEXTURE_FOLDER
 
     @property
     def texels(self) -> int:
@@ -58,14 +68,22 @@ class TextureWork:
         return (*known, f'"{finer[0].path}" has {sizes}; choose a smaller Patch Size for finer texels.')
 
 
-def plan_textures(field: TerrainField, tree: Tree, paths: Sequence[Path], settings: BdamSettings) -> TextureWork | None:
-    """Return what to build from the images `paths`, None if there is none.
+def plan_maps(field: TerrainField, tree: Tree, paths: Sequence[Path], settings: BdamSettings) -> tuple[TextureWork, ...]:
+    """Return the textures to build from the images `paths`, if there are any, and the normal maps, if they are wanted.
 
     Raises:
         FileError: see `place_images`.
     """
-    if not paths:
-        return None
+    textures = (_plan_textures(field, tree, paths, settings),) if paths else ()
+    return (*textures, _plan_normals(field, tree)) if has_normal_maps(settings) else textures
+
+
+def has_normal_maps(settings: BdamSettings) -> bool:
+    """Return whether normal maps are wanted and can be coded: Farfield also runs without Pillow."""
+    return settings.normal_maps and find_spec("PIL") is not None
+
+
+def _plan_textures(field: TerrainField, tree: Tree, paths: Sequence[Path], settings: BdamSettings) -> TextureWork:
     images = place_images(paths, field.placement, field.shape)
     pixel = min(min(map(abs, image.step)) for image in images)
     level_count = count_levels(tree.side, tree.depth, pixel)
@@ -75,6 +93,12 @@ def plan_textures(field: TerrainField, tree: Tree, paths: Sequence[Path], settin
     return TextureWork(plan, tuple(images))
 
 
+def _plan_normals(field: TerrainField, tree: Tree) -> TextureWork:
+    """Return normal maps with a texel per sample."""
+    grid = TextureGrid(tree.columns, tree.rows, tree.side, _measure_cell(field), count_levels(tree.side, tree.depth, 1.0))
+    return TextureWork(TexturePlan(grid, "lossless"), name=NORMALS_FOLDER)
+
+
 def decode_images(textures: TextureWork, work: WorkFolder) -> Steps[None]:
     """Decode the images that workers cannot read in parts, unless all tiles of the finest level are built.
 
@@ -82,35 +106,39 @@ def decode_images(textures: TextureWork, work: WorkFolder) -> Steps[None]:
         FileError: an image or a file cannot be read or written.
     """
     grid = textures.plan.grid
-    if len(missing_tiles(work.path / TEXTURES_FOLDER, grid, grid.level_count - 1)):
+    if len(missing_tiles(work.path / textures.name, grid, grid.level_count - 1)):
         for index, image in enumerate(textures.images):
             yield Progress(index / len(textures.images), "Decoding images")
             decode_image(image, work.path)
 
 
-def build_texture_tiles(textures: TextureWork, work: WorkFolder, pool: TaskPool, has_holes: bool) -> Steps[None]:
-    """Build all tiles from decoded images; goes on with what an interrupted build has left.
+def build_texture_tiles(textures: TextureWork, header: StoreHeader, work: WorkFolder, pool: TaskPool, has_holes: bool) -> Steps[None]:
+    """Build all tiles from decoded images or from the heights of the store with a header; goes on with what an interrupted build has left.
 
     has_holes: whether texels where heights are unknown become transparent.
 
     Raises:
         FarfieldError: a file cannot be read or written, or a worker fails.
     """
-    folder, grid = work.path / TEXTURES_FOLDER, textures.plan.grid
+    folder, grid = work.path / textures.name, textures.plan.grid
     with convert_os_errors(f'"{folder}" cannot be created'):
         folder.mkdir(exist_ok=True)
     finest = grid.level_count - 1
     content = {"plan": textures.plan.to_json().decode(), "images": [asdict(image) for image in textures.images], "has_holes": has_holes}
-    write_sealed(work.path / TASKS_FILE, json.dumps(content, sort_keys=True).encode())
+    content["header"] = asdict(header)
+    write_sealed(_tasks_path(work, textures.name), json.dumps(content, sort_keys=True).encode())
     counts = [len(list_tiles(grid, level)) for level in range(grid.level_count)]
     total, done = sum(counts), 0
     for level in range(finest, -1, -1):
         missing = missing_tiles(folder, grid, level).tolist()
         start = (done + counts[level] - len(missing)) / total
         done += counts[level]
-        items = [[TEXTURE_TASK, level, missing[first : first + TILES_PER_TASK]] for first in range(0, len(missing), TILES_PER_TASK)]
+        items = [
+            [TEXTURE_TASK, textures.name, level, missing[first : first + TILES_PER_TASK]]
+            for first in range(0, len(missing), TILES_PER_TASK)
+        ]
         if items:
-            yield from subprogress(pool.run(items, f"Texture level {level} of {finest}"), start, done / total)
+            yield from subprogress(pool.run(items, f"{textures.name.capitalize()}, level {level} of {finest}"), start, done / total)
         discard_pieces(folder, level + 1)
     for image in textures.images:
         if image.raw is not None:
@@ -118,12 +146,17 @@ def build_texture_tiles(textures: TextureWork, work: WorkFolder, pool: TaskPool,
                 (work.path / image.raw).unlink(missing_ok=True)
 
 
-def write_texture_store(work: WorkFolder, plan: TexturePlan, store: Path) -> Steps[int]:
-    """Write the textures to the folder of a store; return the number of tiles. Raises FileError."""
-    out = store / TEXTURE_FOLDER
+def write_texture_store(textures: TextureWork, work: WorkFolder, store: Path) -> Steps[int]:
+    """Write the tiles to the folder of a store; return their number. Raises FileError."""
+    out = store / textures.name
     with convert_os_errors(f'"{out}" cannot be created'):
         out.mkdir()
-    return (yield from write_textures(work.path / TEXTURES_FOLDER, plan, out))
+    return (yield from write_textures(work.path / textures.name, textures.plan, out))
+
+
+def _tasks_path(work: WorkFolder, name: str) -> Path:
+    """Return the path of the file that tells workers what they build."""
+    return work.path / f"{name}.json"
 
 
 def _measure_cell(field: TerrainField) -> tuple[float, float]:
@@ -152,21 +185,29 @@ class TextureTasks:
 
     def __init__(self, folder: WorkFolder) -> None:
         self._folder = folder
+        self._read_work = cache(self._read_work_file)
 
-    def run(self, level: int, tiles: Sequence[Sequence[int]]) -> None:
-        """Build the tiles [i, j] of a level of the quadtree; all tiles of the finer level must be built.
+    def run(self, name: str, level: int, tiles: Sequence[Sequence[int]]) -> None:
+        """Build the tiles [i, j] of a level of the quadtree `name`; all tiles of the finer level must be built.
 
         Raises:
             FileError: an image cannot be read, or a file cannot be written.
         """
-        plan, images, mask = self._work
-        build_tiles(self._folder.path / TEXTURES_FOLDER, plan, level, np.array(tiles), images, mask)
+        plan, images, mask = self._read_work(name)
+        build_tiles(self._folder.path / name, plan, level, np.array(tiles), images, mask)
 
-    @cached_property
-    def _work(self) -> tuple[TexturePlan, list[PlacedImage], PlacedImage | None]:
-        """The plan, the images, and the mask of known heights, None where all are known."""
-        content = json.loads(read_sealed(self._folder.path / TASKS_FILE, ADVICE))
-        cache = SegmentCache(CACHE_BYTES)
-        images = [open_image(GroundImage(**image), self._folder.path, cache) for image in content["images"]]
-        mask = PlacedImage(KnownSamples(self._folder.grid), (-0.5, -0.5), (1.0, 1.0)) if content["has_holes"] else None
-        return parse_plan(content["plan"].encode()), images, mask
+    def _read_work_file(self, name: str) -> tuple[TexturePlan, list[PlacedImage], PlacedImage | None]:
+        """Return the plan, the images, and the mask of known heights, None where all are known or do not matter."""
+        content, grid = json.loads(read_sealed(_tasks_path(self._folder, name), ADVICE)), self._folder.grid
+        plan = parse_plan(content["plan"].encode())
+        if name == NORMALS_FOLDER:
+            header = StoreHeader(**content["header"])
+            return plan, [_place_samples(SampleNormals(grid, header.create_frame(), header.height_step))], None
+        segments = SegmentCache(CACHE_BYTES)
+        images = [open_image(GroundImage.from_json(image), self._folder.path, segments) for image in content["images"]]
+        return plan, images, _place_samples(KnownSamples(grid)) if content["has_holes"] else None
+
+
+def _place_samples(source: ImageSource) -> PlacedImage:
+    """Return an image with a pixel per sample on its field."""
+    return PlacedImage(source, (-0.5, -0.5), (1.0, 1.0))

@@ -128,9 +128,7 @@ class HeightQuery:
 
     def _evaluate(self, points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return heights (N,) and normals (N, 3) at points on the planes of triangles with `corners` (N, 3, 3) int64."""
-        x, y = self._store.frame.to_local(corners[..., 0], corners[..., 1])
-        positions = np.stack([x, y, corners[..., 2] * self._store.header.height_step], axis=-1)
-        return evaluate_planes(points, positions)
+        return evaluate_planes(points, self._store.to_local(*np.moveaxis(corners, -1, 0)))
 
 
 def evaluate_planes(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

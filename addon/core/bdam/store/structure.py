@@ -33,8 +33,8 @@ from ..tree import Tree
 
 KIND, STRUCTURE_FILE = "bdamstru", "structure.bdam"
 # The version of the contents of the header. 2: gradients of patches have another name, errors include the curvature of geographic grids. 3:
-# structures name the files that they belong to, patches have triangles of outlines.
-VERSION = 3
+# structures name the files that they belong to, patches have triangles of outlines. 4: stores may have normal maps.
+VERSION, OLDEST_VERSION = 4, 3
 ARRAYS_PER_LEVEL = 5
 FRAMES = {"projected": ProjectedFrame, "geographic": GeographicFrame}
 # Limits of what a build writes, with room to spare. Numbers within them fit into the types of all arrays that are computed from them.
@@ -59,6 +59,7 @@ class StoreHeader:
         frame: "projected" or "geographic".
         first, step, origin: position of the grid in the frame, see `fields.placements`.
         has_texture: whether there is a folder of textures.
+        has_normals: whether there is a folder of normal maps.
         geometry_checksum: checksum of the index of the geometry file that belongs to the structure.
     """
 
@@ -74,6 +75,7 @@ class StoreHeader:
     step: tuple[float, float]
     origin: tuple[float, float]
     has_texture: bool = False
+    has_normals: bool = False
     geometry_checksum: int = 0
 
     @property
@@ -145,9 +147,9 @@ def _read_file(path: Path) -> tuple[StoreHeader, list[Level]]:
             version = integer(content.pop("version"), "version", 0, 2**31)
             if version > VERSION:
                 raise FileError(f'"{path}" was written by a newer Farfield (version {version} of the store); update Farfield.')
-            if version < VERSION:
+            if version < OLDEST_VERSION:
                 raise FileError(f'"{path}" was written by an older Farfield (version {version} of the store); build the terrain again.')
-            header = _check_header(content)
+            header = _check_header(content if version == VERSION else {"has_normals": False, **content})
             levels = list(_read_levels(reader, header))
         except (IndexError, KeyError, TypeError, ValueError) as error:
             raise FileError(f'"{path}" is damaged or no structure of a terrain ({error}); build the terrain again.') from error
@@ -171,7 +173,7 @@ def _check_header(values: dict[str, Any]) -> StoreHeader:
         first=numbers(values["first"], "first", 2, -farthest, farthest),
         step=numbers(values["step"], "step", 2, MIN_STEP, MAX_STEP),
         origin=numbers(values["origin"], "origin", 2, -farthest, farthest),
-        has_texture=boolean(values["has_texture"], "has_texture"),
+        **{name: boolean(values[name], name) for name in ("has_texture", "has_normals")},
         geometry_checksum=integer(values["geometry_checksum"], "geometry_checksum", 0, 2**32 - 1),
     )
     if header.leaf_cells % 2:

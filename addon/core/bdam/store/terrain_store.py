@@ -1,4 +1,4 @@
-"""A finished terrain: a folder with a structure file, a geometry file and, if the terrain has textures, a folder of these.
+"""A finished terrain: a folder with a structure file, a geometry file and, if the terrain has textures or normal maps, folders of these.
 
 Both files and those of the textures have backups, see `files.backups`.
 """
@@ -14,12 +14,14 @@ from ...errors import FileError
 from ...files.backups import FileDamage
 from ...files.blocks import BlockReader
 from ..textures.store import TextureStore
+from .curvature import curve_levels, find_drop, find_drop_gradients
 from .leaf_grids import leaf_grid
 from .patch_codec import Patch, decode_patch
 from .patch_links import PatchLimits, find_leaf_squares, find_limits, join_bounds, link_patches
 from .structure import STRUCTURE_FILE, find_structure, read_structure
 
-GEOMETRY_FILE, GEOMETRY_KIND, TEXTURE_FOLDER = "geometry.bdam", "bdamgeom", "textures"
+GEOMETRY_FILE, GEOMETRY_KIND, TEXTURE_FOLDER, NORMALS_FOLDER = "geometry.bdam", "bdamgeom", "textures", "normals"
+TILE_KINDS = {TEXTURE_FOLDER: "texture tile", NORMALS_FOLDER: "normal map"}
 
 
 class TerrainStore(AbstractContextManager):
@@ -33,16 +35,18 @@ class TerrainStore(AbstractContextManager):
         links: parents, children and partners of patches.
         bounds: (N, 7) float32, bounding boxes and errors of all patches, see `join_bounds`.
         textures: the texture tiles, None without.
+        normals: the tiles of normal maps, None without; see `building.sample_normals`.
         file_damages: damages of files whose backup is used, and of backups.
+        is_curved: whether positions, bounds and errors are those of ground that the curvature of the Earth lowers.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, is_curved: bool = False) -> None:
         """Open the store in `folder`.
 
         Raises:
             FileError: it is no store, is damaged or unfinished, or was written by a newer version.
         """
-        self.folder = folder
+        self.folder, self.is_curved = folder, is_curved
         if find_structure(folder) is None:
             raise FileError(
                 f'"{folder}" is no terrain built by Farfield: it contains no file "{STRUCTURE_FILE}"; choose the folder of a terrain.'
@@ -55,11 +59,12 @@ class TerrainStore(AbstractContextManager):
         if (len(self._geometry), self._geometry.index_checksum) != (patch_count, self.header.geometry_checksum):
             self._geometry.close()
             raise FileError(f'"{folder / GEOMETRY_FILE}" and "{STRUCTURE_FILE}" belong to different terrains; build the terrain again.')
-        self.bounds, self.levels = join_bounds(self.levels)
+        self.bounds, self.levels = join_bounds(curve_levels(self.levels) if is_curved else self.levels)
         self.links = link_patches(self.levels)
-        self.textures = self._open_textures()
-        of_textures = () if self.textures is None else self.textures.damages
-        self.file_damages: tuple[FileDamage, ...] = (*damages, *self._geometry.damages, *of_textures)
+        self.textures = self._open_tiles(TEXTURE_FOLDER) if self.header.has_texture else None
+        self.normals = self._open_tiles(NORMALS_FOLDER) if self.header.has_normals else None
+        of_tiles = [damage for tiles in self._all_tiles for damage in tiles.damages]
+        self.file_damages: tuple[FileDamage, ...] = (*damages, *self._geometry.damages, *of_tiles)
         self._patch_damages: dict[int, str] = {}
         self._limits: tuple[int, PatchLimits | None] = (0, None)
 
@@ -69,18 +74,21 @@ class TerrainStore(AbstractContextManager):
     def close(self) -> None:
         """Close the files."""
         self._geometry.close()
-        if self.textures is not None:
-            self.textures.close()
+        for tiles in self._all_tiles:
+            tiles.close()
 
-    def _open_textures(self) -> TextureStore | None:
-        """Return the texture tiles, None without. Raises FileError if they are those of another terrain, too."""
-        if not self.header.has_texture:
-            return None
-        textures, tree = TextureStore(self.folder / TEXTURE_FOLDER), self.tree
+    @property
+    def _all_tiles(self) -> list[TextureStore]:
+        """The texture tiles and the normal maps, as far as there are any."""
+        return [tiles for tiles in (self.textures, self.normals) if tiles is not None]
+
+    def _open_tiles(self, name: str) -> TextureStore:
+        """Return the tiles in a folder of the store. Raises FileError if they are those of another terrain, too."""
+        textures, tree = TextureStore(self.folder / name, TILE_KINDS[name]), self.tree
         grid = textures.grid
         if (grid.columns, grid.rows, grid.size) != (tree.columns, tree.rows, tree.side) or grid.level_count > tree.depth + 1:
             textures.close()
-            raise FileError(f'The textures in "{self.folder}" are those of another terrain; build the terrain again.')
+            raise FileError(f'The {name} in "{self.folder}" are those of another terrain; build the terrain again.')
         return textures
 
     def read(self, level: int, row: int) -> Patch:
@@ -145,9 +153,9 @@ class TerrainStore(AbstractContextManager):
             yield damage.name
         for number in self._geometry.verify():
             yield self.label(*self.links.locate(number))
-        if self.textures is not None:
-            for number in self.textures.verify():
-                yield self.textures.label(number)
+        for tiles in self._all_tiles:
+            for number in tiles.verify():
+                yield tiles.label(number)
 
     @cached_property
     def leaf_squares(self) -> list[np.ndarray]:
@@ -161,8 +169,15 @@ class TerrainStore(AbstractContextManager):
         return float(heights.min()) * self.header.height_step, float(heights.max()) * self.header.height_step
 
     def to_local(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """Return vertices at `x` and `y` in the grid with heights `z` in steps, (V,) each, in local meters, (V, 3) float64."""
-        return np.stack([*self.frame.to_local(x, y), z * self.header.height_step], axis=1)
+        """Return vertices at `x` and `y` in the grid with heights `z` in steps, of any shape, in local meters, (..., 3) float64."""
+        east, north = self.frame.to_local(x, y)
+        heights = z * self.header.height_step
+        return np.stack([east, north, heights - find_drop(east, north) if self.is_curved else heights], axis=-1)
+
+    def to_local_gradients(self, x: np.ndarray, y: np.ndarray, gradients: np.ndarray) -> np.ndarray:
+        """Return the derivatives (N, 2) float64 of local z along local x and y from `gradients` (N, 2), steps per cell, at samples (N,)."""
+        local = self.frame.to_local_gradients(x, y, gradients * self.header.height_step)
+        return local - find_drop_gradients(*self.frame.to_local(x, y)) if self.is_curved else local
 
     def corners_of(self, level: int, row: int) -> np.ndarray:
         """Return the corners (3, 2) int64 of a patch in the grid; see `Tree.corners_of`."""

@@ -15,7 +15,7 @@ MAX_SIZE = 2**30  # cells along the side of the root square
 MIN_SPACING, MAX_SPACING = 1e-15, 1e9  # meters
 
 # The overlap of WebP tiles, unlike that of JPEG tiles, is coded differently in each; below 95 the seams exceed 8/255 in photographs.
-DEFAULT_QUALITIES = {"jpeg": DEFAULT_QUALITY, "webp": 95, "raw": DEFAULT_QUALITY}
+DEFAULT_QUALITIES = {"jpeg": DEFAULT_QUALITY, "webp": 95, "raw": DEFAULT_QUALITY, "lossless": DEFAULT_QUALITY}
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class TexturePlan:
 
     Attributes:
         grid: the tiles.
-        image_format: coding of tiles: jpeg, webp or raw.
+        image_format: coding of tiles: jpeg, webp, raw, or lossless, which is WebP without loss.
         quality: 1 to 100, for jpeg and webp; None for that of DEFAULT_QUALITIES.
         error: error of a tile by itself: `magnification`, the size of its texels, or `feature`, the same only where replacing the
             texels of the next finer level loses visible detail; the largest size of the features that the tile loses.
@@ -81,7 +81,7 @@ def check_plan(plan: TexturePlan) -> None:
         SettingsError: one is out of range.
     """
     if plan.image_format not in DEFAULT_QUALITIES:
-        raise SettingsError(f'Texture Format is "{plan.image_format}"; choose jpeg, webp or raw.', ("image_format",))
+        raise SettingsError(f'Texture Format is "{plan.image_format}"; choose jpeg, webp, raw or lossless.', ("image_format",))
     if not 1 <= plan.coding_quality <= 100:
         raise SettingsError(f"Texture Quality is {plan.quality}; choose 1 to 100.", ("quality",))
     if plan.error not in ("magnification", "feature"):

@@ -138,6 +138,14 @@ def _filter_columns(pixels: np.ndarray, weights: csr_array) -> np.ndarray:
     return np.ascontiguousarray(filtered.reshape(-1, height, channels).transpose(1, 0, 2))
 
 
+def to_premultiplied(pixels: np.ndarray) -> np.ndarray:
+    """Return the pixels (h, w, 3 or 4) of an `ImageSource` as (h, w, 4) float32, scene-linear and premultiplied; NaN is transparent."""
+    linear = _to_linear(pixels)
+    if linear.shape[2] == 4:
+        return linear
+    return np.concatenate([linear, np.ones((*linear.shape[:2], 1), np.float32)], axis=2)
+
+
 def _to_linear(pixels: np.ndarray) -> np.ndarray:
     """Return pixels (..., 3 or 4) as float32, scene-linear and premultiplied. Opaque bytes keep three channels."""
     if pixels.dtype == np.uint8:

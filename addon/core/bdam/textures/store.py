@@ -107,13 +107,13 @@ class TextureStore(AbstractContextManager):
         damages: damages of files that have a backup.
     """
 
-    def __init__(self, folder: Path) -> None:
-        """Open the store in a folder; its tiles are not read.
+    def __init__(self, folder: Path, kind: str = "texture tile") -> None:
+        """Open the store in a folder; its tiles are not read. kind: what messages call a tile.
 
         Raises:
             FileError: a file is missing, damaged or of a newer version, or the two do not belong together.
         """
-        path = folder / STRUCTURE_FILE
+        self._kind, path = kind, folder / STRUCTURE_FILE
         (self.plan, self.index, self.own_errors, self.errors, checksum), damages = read_either(path, _read_structure)
         self._blocks = BlockReader(folder / TILES_FILE, TILES_KIND, has_backup=True)
         self.damages: tuple[FileDamage, ...] = (*damages, *self._blocks.damages)
@@ -140,7 +140,7 @@ class TextureStore(AbstractContextManager):
     def label(self, number: int) -> str:
         """Return the name of a tile in messages."""
         i, j = self.index.tiles[number]
-        return f"texture tile {self.index.levels[number]}/{i}/{j}"
+        return f"{self._kind} {self.index.levels[number]}/{i}/{j}"
 
     def read(self, number: int) -> np.ndarray:
         """Return a tile (512, 512, 3), or (512, 512, 4) with alpha, uint8, sRGB-encoded, straight alpha, row 0 the southern one.

@@ -59,8 +59,7 @@ def build_patch_mesh(store: TerrainStore, patch: Patch) -> PatchMesh:
     ids = _number_vertices(store, patch.x, patch.y)
     boundary = patch.boundary
     gradients = vertex_gradients(positions, patch.triangles)
-    stored = patch.gradients * store.header.height_step
-    gradients[:, boundary] = store.frame.to_local_gradients(patch.x[boundary], patch.y[boundary], stored).T
+    gradients[:, boundary] = store.to_local_gradients(patch.x[boundary], patch.y[boundary], patch.gradients).T
     triangles = patch.triangles[~patch.is_hole] if patch.is_hole.any() else patch.triangles
     return PatchMesh(ids, positions, _to_normals(gradients), triangles, boundary)
 
@@ -68,7 +67,7 @@ def build_patch_mesh(store: TerrainStore, patch: Patch) -> PatchMesh:
 def build_outline_mesh(store: TerrainStore, patch: Patch, triangles: np.ndarray) -> PatchMesh:
     """Return the mesh of the outline of a patch with the triangles (T, 3) that `triangulate_outline` returns."""
     x, y, z = (values[patch.boundary] for values in (patch.x, patch.y, patch.z))
-    gradients = store.frame.to_local_gradients(x, y, patch.gradients * store.header.height_step).T
+    gradients = store.to_local_gradients(x, y, patch.gradients).T
     boundary = np.arange(len(x), dtype=np.int32)
     return PatchMesh(_number_vertices(store, x, y), store.to_local(x, y, z), _to_normals(gradients), triangles, boundary)
 

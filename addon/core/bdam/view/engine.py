@@ -15,10 +15,10 @@ from ...jobs.progress import Progress, Steps
 from ..settings import ViewSettings
 from ..store.structure import find_structure
 from ..store.terrain_store import TerrainStore
-from ..textures.tile_blocks import CodedTile
 from .caches import PatchCache, Prefetch, TextureFiles
 from .extraction import Cut, CutSettings, IsForced, extract_cut
-from .texture_cuts import NO_TEXTURES, TextureCut, TextureSelector
+from .texture_cuts import TextureCut, TextureSelector
+from .tile_maps import KINDS, ShownMaps, StoreMaps
 from .tiles import MAX_TILES, Tile, TileGrouping, TileKey, TileMesh, build_tile_mesh
 
 # The cut stays as it is until the viewer has moved by this fraction of the distance to the terrain, or of the image.
@@ -32,10 +32,10 @@ PREFETCH_SECONDS, PREFETCH_CUTS = 0.5, 4  # how far and how often it is predicte
 
 @dataclass(frozen=True)
 class TileBlock:
-    """A tile to be shown. texture: the number and the image files of its texture, None without."""
+    """A tile to be shown. maps: the number of its square and the maps in it, None without."""
 
     mesh: TileMesh
-    texture: tuple[int, CodedTile] | None
+    maps: tuple[int, ShownMaps] | None
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Figures:
 class Update:
     """The changes of a move, in addition to the tiles in `BdamEngine.finished_blocks`.
 
-    tiles: all that are shown afterwards, with the number of their texture. is_complete: whether all of them were finished by this move,
+    tiles: all that are shown afterwards, with the number of their maps. is_complete: whether all of them were finished by this move,
     since nothing is known of what was shown before. warnings: sentences about damaged parts, which are replaced or missing.
     """
 
@@ -84,7 +84,7 @@ class BdamEngine:
 
     Attributes:
         folder: the folder of the store.
-        settings: how the terrain is shown; if they are replaced, `invalidate` must be called.
+        settings: how the terrain is shown; if they are replaced, `invalidate` must be called. Curvature needs a new engine.
         store: the open store.
         identity: identifies the store and its content.
         finished_blocks: tiles that the current move has finished; every move starts with an empty queue.
@@ -98,13 +98,14 @@ class BdamEngine:
             FileError: it is missing, damaged or of a newer version.
         """
         self.folder, self.settings = folder, settings
-        self.store = TerrainStore(folder)
+        self.store = TerrainStore(folder, settings.curvature)
         self.identity = f"{folder}|{find_structure(folder).stat().st_mtime_ns}"
         self.finished_blocks: SimpleQueue[tuple[TileKey, TileBlock]] = SimpleQueue()
         self.figures: Figures | None = None
         self._cache = PatchCache(self.store)
-        self._grouping, self._textures = TileGrouping(self.store), TextureSelector(self.store)
-        self._texture_files = TextureFiles(self.store.textures)
+        self._grouping = TileGrouping(self.store)
+        self._selectors: dict[bool, tuple[StoreMaps, TextureSelector]] = {}
+        self._map_files = {kind: TextureFiles(tiles) for kind, tiles in StoreMaps(self.store, True).stores.items()}
         self._motion, self._clock = ViewerMotion(), clock
         self._present: tuple[TextureCut, Cut] | None = None
         self._budget_step = 0
@@ -125,10 +126,10 @@ class BdamEngine:
         low, high = self.store.height_range
         return low * self.settings.exaggeration, high * self.settings.exaggeration
 
-    def texture_label(self, number: int) -> str:
-        """Return the name of a texture tile: level, column and row."""
-        index = self.store.textures.index
-        return f"{index.levels[number]} {index.tiles[number, 0]} {index.tiles[number, 1]}"
+    @property
+    def maps(self) -> StoreMaps:
+        """The maps that the settings show."""
+        return self._select()[0]
 
     def move(self, viewer: Viewer) -> Steps[Update]:
         """Compute the tiles that change for a viewer in the local frame. If it is cancelled or fails, the engine stays valid.
@@ -153,7 +154,7 @@ class BdamEngine:
         self._shown = {key: tile.signature for key, tile in tiles.items()}
         self._present = texture_cut, cut
         self._viewer, self._clearance, self._warnings = viewer, self._measure_clearance(cut, viewer), warnings
-        byte_count = self._cache.byte_count + self._texture_files.byte_count
+        byte_count = self._cache.byte_count + sum(files.byte_count for files in self._map_files.values())
         raising_budget = self.settings.triangle_budget if tolerance > self.settings.tolerance else 0
         self.figures = Figures(self._count_triangles(cut), len(cut), len(tiles), tolerance, cut.max_error, byte_count, raising_budget)
         of_tiles = [sentence for key in tiles for sentence in warnings.get(key, ())]
@@ -170,7 +171,7 @@ class BdamEngine:
             return
         texture_cut, cut = self._present
         patches = Prefetch(self._cache, cut.list_patches())
-        textures = Prefetch(self._texture_files, _texture_keys(texture_cut))
+        maps = {kind: Prefetch(files, self._map_keys(kind, texture_cut)) for kind, files in self._map_files.items()}
         for number in range(1, PREFETCH_CUTS + 1):
             yield Progress((number - 1) / PREFETCH_CUTS, "Reading ahead")
             viewer = self._motion.predict(seconds * number / PREFETCH_CUTS)
@@ -179,7 +180,8 @@ class BdamEngine:
             # The tolerance is the one that the triangle budget has led to, which changes slowly.
             cut = extract_cut(self.store, viewer, replace(settings, tolerance=self.figures.tolerance), is_forced)
             yield from patches.read(cut.list_patches())
-            yield from textures.read(_texture_keys(texture_cut))
+            for kind, prefetch in maps.items():
+                yield from prefetch.read(self._map_keys(kind, texture_cut))
 
     def is_settled_at(self, viewer: Viewer) -> bool:
         """Return whether what is shown is right for a viewer in the local frame: whether it has hardly moved since the last move."""
@@ -216,10 +218,17 @@ class BdamEngine:
 
     def _choose_textures(self, viewer: Viewer, settings: CutSettings) -> tuple[TextureCut, IsForced | None]:
         """Return the texture cut, and which patches must be refined for it."""
-        if self.settings.shading != "texture":
-            return NO_TEXTURES, None
-        texture_cut = self._textures.choose(viewer, settings, self._max_texture_tiles())
-        return texture_cut, self._textures.is_forced(texture_cut)
+        selector = self._select()[1]
+        texture_cut = selector.choose(viewer, settings, self._max_texture_tiles())
+        return texture_cut, selector.is_forced(texture_cut)
+
+    def _select(self) -> tuple[StoreMaps, TextureSelector]:
+        """Return the maps that the settings show, and what chooses them."""
+        has_color = self.settings.shading == "texture"
+        if has_color not in self._selectors:
+            maps = StoreMaps(self.store, has_color)
+            self._selectors[has_color] = maps, TextureSelector(self.store, maps)
+        return self._selectors[has_color]
 
     def _max_texture_tiles(self) -> int:
         """Return how many texture tiles may be shown: those whose smallest cut has half the triangles of the budget."""
@@ -264,18 +273,25 @@ class BdamEngine:
         mesh = build_tile_mesh(self.store, self._cache, key, tile, self.settings.exaggeration)
         if tile.texture is None:
             return TileBlock(mesh, None), mesh.damages
-        try:
-            return TileBlock(mesh, (tile.texture, self.read_texture(tile.texture))), mesh.damages
-        except FarfieldError as error:
-            return TileBlock(mesh, None), (*mesh.damages, str(error))
+        maps, damages = self.read_maps(tile.texture)
+        return TileBlock(mesh, (tile.texture, maps)), (*mesh.damages, *damages)
 
-    def read_texture(self, number: int) -> CodedTile:
-        """Return the image files of a texture tile. Keeps those used last.
+    def read_maps(self, number: int) -> tuple[ShownMaps, tuple[str, ...]]:
+        """Return the maps of a square, and sentences about those that are damaged, which are None. Keeps the files used last."""
+        shown, damages = {}, []
+        for kind in KINDS:
+            found = self.maps.find(kind, number)
+            try:
+                shown[kind] = None if found is None else self.maps.place(number, found, self._map_files[kind].read(found[0]))
+            except FarfieldError as error:
+                shown[kind] = None
+                damages.append(str(error))
+        return ShownMaps(self.maps.label(number), **shown), tuple(damages)
 
-        Raises:
-            FileError, ImageError: it is damaged.
-        """
-        return self._texture_files.read(number)
+    def _map_keys(self, kind: str, cut: TextureCut) -> list[int]:
+        """Return the numbers of the tiles of a kind that a cut shows."""
+        found = [self.maps.find(kind, number) for number in cut.numbers.values() if number is not None]
+        return sorted({item[0] for item in found if item is not None})
 
     def _count_triangles(self, cut: Cut) -> int:
         """Return the number of triangles of a cut, holes included."""
@@ -291,8 +307,3 @@ class BdamEngine:
             offsets = np.maximum(np.maximum(low - viewer.position, viewer.position - high), 0.0)
             nearest = min(nearest, float(np.sqrt((offsets * offsets).sum(axis=1)).min()))
         return max(nearest, self.store.header.cell_size)
-
-
-def _texture_keys(cut: TextureCut) -> list[int]:
-    """Return the numbers of the texture tiles of a cut."""
-    return sorted({number for number in cut.numbers.values() if number is not None})

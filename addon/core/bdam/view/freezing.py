@@ -11,7 +11,8 @@ from ..settings import ViewSettings
 from ..store.terrain_store import TerrainStore
 from .caches import PatchCache
 from .extraction import Cut, CutSettings, extract_union_cut
-from .texture_cuts import NO_TEXTURES, TextureCut, TextureSelector
+from .texture_cuts import TextureCut, TextureSelector
+from .tile_maps import StoreMaps
 from .tiles import MAX_TILES, TileGrouping, TileMesh, build_tile_mesh
 
 
@@ -47,9 +48,7 @@ def choose_path_cut(store: TerrainStore, viewers: Sequence[Viewer], settings: Vi
     textures are used for the whole path; `describe_limit` tells whether they are too few for the tolerance.
     """
     cut_settings = CutSettings(settings.tolerance, settings.exaggeration)
-    if settings.shading != "texture":
-        return NO_TEXTURES, (yield from extract_union_cut(store, viewers, cut_settings))
-    selector = TextureSelector(store)
+    selector = TextureSelector(store, StoreMaps(store, settings.shading == "texture"))
     textures = yield from subprogress(selector.choose_for_path(viewers, cut_settings, MAX_TILES), 0.0, 0.5)
     return textures, (yield from subprogress(extract_union_cut(store, viewers, cut_settings, selector.is_forced(textures)), 0.5, 1.0))
 
@@ -65,7 +64,7 @@ def describe_limit(textures: TextureCut, settings: ViewSettings) -> str:
 
 
 def freeze_cut(store: TerrainStore, textures: TextureCut, cut: Cut, exaggeration: float) -> Steps[tuple[list[FrozenMesh], tuple[str, ...]]]:
-    """Return the meshes of the tiles of a cut, whose materials are the numbers of texture tiles or None, and sentences about damaged
+    """Return the meshes of the tiles of a cut, whose materials are the numbers of their maps or None, and sentences about damaged
     parts, which are missing unless `cut` avoids them."""
     cache = PatchCache(store)
     tiles = TileGrouping(store).group(cut, textures.numbers)

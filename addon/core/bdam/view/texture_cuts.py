@@ -16,14 +16,17 @@ from ..store.patch_links import PatchLimits
 from ..store.terrain_store import TerrainStore
 from .extraction import CutSettings, IsForced
 from .projected_errors import Culling
+from .tile_maps import StoreMaps
 
 
 @dataclass(frozen=True)
 class TextureCut:
     """Squares of the quadtree that cover the terrain once.
 
-    numbers: texture tiles by (level, i, j); None where there is no texture. refined: for each level from 0, the squares (M, 2) int32 that
-    are refined. tolerance: the largest number of pixels that texels cover, unless they are the finest ones; None without a choice.
+    Attributes:
+        numbers: those of squares with maps, see `tile_maps`, by (level, i, j); None where there is no map.
+        refined: for each level from 0, the squares (M, 2) int32 that are refined.
+        tolerance: the largest number of pixels that texels cover, unless they are the finest ones; None without a choice.
     """
 
     numbers: dict[tuple[int, int, int], int | None]
@@ -35,14 +38,14 @@ NO_TEXTURES = TextureCut({(0, 0, 0): None})
 
 
 class TextureSelector:
-    """Chooses the texture tiles of one store, if it has any."""
+    """Chooses the squares of the maps of one store, if it has any."""
 
-    def __init__(self, store: TerrainStore) -> None:
+    def __init__(self, store: TerrainStore, maps: StoreMaps) -> None:
         self._store = store
-        self._has_texture = store.textures is not None and bool((store.textures.index.levels == 0).any())
-        if not self._has_texture:
+        self._has_maps = bool(maps.stores)
+        if not self._has_maps:
             return
-        self._index, self._errors = store.textures.index, store.textures.errors.astype(np.float64)
+        self._index, self._errors = maps.index, maps.errors
         self._depth = store.tree.depth
         self._min_distance = store.header.cell_size
         self._low, self._high = np.empty((len(self._index), 3)), np.empty((len(self._index), 3))
@@ -55,7 +58,7 @@ class TextureSelector:
     def choose(self, viewer: Viewer, settings: CutSettings, max_count: int) -> TextureCut:
         """Return the cut for a viewer in the local frame, with at most `max_count` tiles, whose texels cover at most `settings.tolerance`
         pixels as far as that number allows."""
-        if not self._has_texture:
+        if not self._has_maps:
             return NO_TEXTURES
         return self._choose(self._measure(viewer, settings), settings, max_count)
 
@@ -64,7 +67,7 @@ class TextureSelector:
 
         If `max_count` tiles are too few, the tiles that cover the fewest pixels, in the frame where they cover most, stay coarse.
         """
-        if not self._has_texture:
+        if not self._has_maps:
             return NO_TEXTURES
         pixels = np.zeros(len(self._index))
         for number, viewer in enumerate(viewers):

@@ -14,7 +14,7 @@ from ..store.terrain_store import TerrainStore
 from ..textures.grid import BORDER, STEP, TILE_SIZE
 from ..textures.tile_index import morton_keys
 from .caches import PatchCache
-from .cut_meshes import CutMesh, merge_patches, remove_unused
+from .cut_meshes import merge_patches, remove_unused
 from .extraction import Cut
 
 MAX_TILES = 64
@@ -32,8 +32,8 @@ class Tile:
     Attributes:
         levels, rows: (N,) int64, patches in the order of the bintrees.
         is_outline: (N,) bool, see `Cut`.
-        texture: number of its texture tile, None without.
-        square: square of the texture tile.
+        texture: number of the square of its maps, see `tile_maps`, None without.
+        square: that square.
     """
 
     levels: np.ndarray
@@ -134,7 +134,7 @@ def build_tile_mesh(store: TerrainStore, cache: PatchCache, key: TileKey, tile: 
     vertices = np.rint(mesh.positions * [1.0, 1.0, exaggeration] / step) * step - location
     normals = mesh.normals * np.array([1.0, 1.0, 1.0 / exaggeration], np.float32)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    uvs = None if tile.texture is None else _texture_uvs(store, mesh, tile.square)
+    uvs = None if tile.texture is None else texture_uvs(store, mesh.ids, tile.square)
     return TileMesh(location, vertices.astype(np.float32), normals, mesh.triangles, uvs, mesh.levels, mesh.ids, tuple(damages))
 
 
@@ -153,9 +153,10 @@ def _lattice_step(store: TerrainStore) -> float:
     return float(2.0 ** np.floor(np.log2(store.header.cell_size)))
 
 
-def _texture_uvs(store: TerrainStore, mesh: CutMesh, square: TileKey) -> np.ndarray:
-    """Return the UV coordinates (V, 2) float32 of vertices in the texture tile of a square; see `textures.grid`."""
-    grid = np.stack([mesh.ids % store.header.columns, mesh.ids // store.header.columns], axis=1)
+def texture_uvs(store: TerrainStore, ids: np.ndarray, square: TileKey) -> np.ndarray:
+    """Return the UV coordinates (V, 2) float32 of vertices, given by their `ids` (V,), in the texture tile of a square; see
+    `textures.grid`."""
+    grid = np.stack([ids % store.header.columns, ids // store.header.columns], axis=1)
     level, *position = square
     return ((BORDER + STEP * (grid * (2.0**level / store.tree.side) - position)) / TILE_SIZE).astype(np.float32)
 

@@ -1,0 +1,22 @@
+"""Settings of plants and rocks that are scattered on landscapes."""
+
+from dataclasses import dataclass
+
+from .settings import Choice, Settings, setting
+
+KINDS = {
+    "meadow": Choice("Meadow", "Grass, bushes and a few rocks"),
+    "forest": Choice("Forest", "Conifers with grass and bushes between them"),
+    "rocks": Choice("Rocks", "Rocks of all sizes, most of them below steep ground"),
+    "steppe": Choice("Steppe", "Dry tufts and bushes, far apart"),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScatterSettings(Settings):
+    """Settings of *Scatter*."""
+
+    kind: str = setting("meadow", "What grows and lies on the ground", choices=KINDS)
+    density: float = setting(1.0, "Factor of the number of plants and rocks", minimum=0.0, maximum=10.0)
+    distance: float = setting(1.0, "Factor of the distances to the camera up to which they are there", minimum=0.1, maximum=10.0)
+    seed: int = setting(0, "Seed of all places and shapes", minimum=0, maximum=10_000)

@@ -1,0 +1,179 @@
+"""Plants and rocks on terrains: their shapes, and where geometry nodes put them."""
+
+import bpy
+import numpy as np
+import pytest
+
+from farfield.addon.bridge import scatter, sky
+from farfield.addon.bridge.scatter import SCATTER_KEY, Layer
+from farfield.addon.compat import set_node_input
+from farfield.addon.core import plants
+from farfield.addon.core.clipbox.settings import ClipboxSettings
+from farfield.addon.core.jobs.progress import run_to_end
+from farfield.addon.core.scatter import KINDS, ScatterSettings
+from farfield.addon.core.sky import SkySettings
+from farfield.addon.operators.clipbox.job import prepare
+from farfield.addon.operators.job_run import run_job
+
+STEEPEST = 0.8  # z of normals.
+NOISE = 0.06  # By which noise moves that limit.
+
+
+def add_camera(x, y):
+    """The active camera of the scene, at a place."""
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    bpy.context.scene.collection.objects.link(camera)
+    bpy.context.scene.camera = camera
+    camera.location = (x, y, 20.0)
+    return camera
+
+
+@pytest.fixture(scope="module")
+def terrain():
+    """A landscape that is level on one side and steep on the other, under x = 0, with a rise of 60 m."""
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    settings = ClipboxSettings(terrain="formula", formula="30*tanh(x/16) - z", resolution=32, boxes=3, voxel_size=2.0)
+    job = prepare(settings, np.zeros(3))
+    run_to_end(run_job(job))
+    bpy.context.view_layer.update()
+    return job.terrain
+
+
+@pytest.fixture(autouse=True)
+def clean(terrain):
+    """A scene without camera and without anything scattered."""
+    yield
+    scatter.remove_scatter(terrain)
+    for camera in list(bpy.data.cameras):
+        bpy.data.cameras.remove(camera)
+
+
+@pytest.fixture
+def layer(monkeypatch):
+    """One layer of stones that is everywhere on ground that is not steep."""
+    layer = Layer("Rock", "Far Rock", 20.0, 1.0, 30.0, 1.0, steepest=STEEPEST, clumps=0.0, align=1.0, is_plant=False)
+    monkeypatch.setitem(scatter.KINDS, "rocks", {"Stones": layer})
+    return layer
+
+
+def places(terrain):
+    """The matrices (N, 4, 4) of everything that is scattered, in the order of their places, and the names of the meshes there."""
+    bpy.context.view_layer.update()
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    owners = set(scatter.find_scatter(terrain))
+    found = [
+        (np.array(item.matrix_world), item.object.name)
+        for item in depsgraph.object_instances
+        if item.is_instance and item.parent.original in owners
+    ]
+    found.sort(key=lambda pair: tuple(pair[0][:2, 3]))
+    return np.array([matrix for matrix, _ in found]).reshape(-1, 4, 4), [name for _, name in found]
+
+
+def test_they_lie_on_ground_that_is_not_too_steep(terrain, layer):
+    add_camera(0.0, 0.0)
+    scatter.add_scatter(bpy.context.scene, terrain, ScatterSettings(kind="rocks"), 1.0)
+    matrices, names = places(terrain)
+    assert len(matrices) > 200
+    for position in matrices[::7, :3, 3]:
+        hits = [item.ray_cast((*position[:2], 500.0), (0.0, 0.0, -1.0)) for item in terrain.ground_objects()]
+        ground, normal = max(((hit[1], hit[2]) for hit in hits if hit[0]), key=lambda pair: pair[0].z)
+        assert abs(ground.z - position[2]) < 1e-3 and normal.z > STEEPEST - NOISE
+    distances = np.linalg.norm(matrices[:, :2, 3], axis=1)
+    assert distances.max() < layer.distance
+    from_camera = np.linalg.norm(matrices[:, :3, 3] - [0.0, 0.0, 20.0], axis=1)
+    assert {name.startswith("Far") for name in np.array(names)[from_camera < layer.far_from - 0.01]} <= {False}
+    assert {name.startswith("Far") for name in np.array(names)[from_camera > layer.far_from + 0.01]} == {True}
+
+
+def test_places_stay_when_the_camera_moves(terrain, layer):
+    camera = add_camera(-20.0, 3.0)
+    scatter.add_scatter(bpy.context.scene, terrain, ScatterSettings(kind="rocks"), 1.0)
+    before, _ = places(terrain)
+    camera.location.x -= 7.3
+    after, _ = places(terrain)
+
+    def near_both(matrices):
+        midpoint = np.array([-23.65, 3.0])
+        return matrices[np.linalg.norm(matrices[:, :2, 3] - midpoint, axis=1) < 0.45 * layer.distance]
+
+    assert len(near_both(before)) > 100 and np.allclose(near_both(before), near_both(after), atol=1e-4)
+
+
+def test_density_seed_and_height_change_what_there_is(terrain, layer):
+    add_camera(-20.0, 0.0)
+
+    def count(**values):
+        scatter.add_scatter(bpy.context.scene, terrain, ScatterSettings(kind="rocks", **values), 1.0)
+        return places(terrain)[0]
+
+    normal, half, double, other = count(), count(density=0.5), count(density=2.0), count(seed=5)
+    assert len(half) == pytest.approx(0.5 * len(normal), rel=0.15) and len(double) == pytest.approx(2.0 * len(normal), rel=0.15)
+    assert len(other) == pytest.approx(len(normal), rel=0.15) and not np.allclose(other[0], normal[0])
+    (item,) = scatter.find_scatter(terrain)
+    set_node_input(item.modifiers[0], "Lowest", -25.0)
+    item.update_tag()
+    above = places(terrain)[0]
+    assert 0 < len(above) < len(other) and above[:, 2, 3].min() > -25.0
+
+
+@pytest.mark.parametrize("kind", list(KINDS))
+def test_every_kind_is_there_and_can_be_replaced_and_removed(terrain, kind):
+    add_camera(-30.0, 0.0)
+    before = {name: len(getattr(bpy.data, name)) for name in ("objects", "meshes", "materials", "collections")}
+    for _ in range(2):
+        created = scatter.add_scatter(bpy.context.scene, terrain, ScatterSettings(kind=kind, distance=0.2), 1.0)
+    assert sorted(item[SCATTER_KEY] for item in scatter.find_scatter(terrain)) == sorted(item[SCATTER_KEY] for item in created)
+    matrices, names = places(terrain)
+    assert len(matrices) and len(set(names)) > 1
+    scatter.remove_scatter(terrain)
+    assert before == {name: len(getattr(bpy.data, name)) for name in before}
+
+
+def test_an_object_of_the_user_in_an_asset_collection_stays(terrain, layer):
+    add_camera(-20.0, 0.0)
+    scatter.add_scatter(bpy.context.scene, terrain, ScatterSettings(kind="rocks"), 1.0)
+    own = bpy.data.objects.new("My Rock", bpy.data.meshes.new("My Rock"))
+    next(item for item in bpy.data.collections if item.get(SCATTER_KEY) == "Rock").objects.link(own)
+    scatter.remove_scatter(terrain)
+    assert "My Rock" in bpy.data.objects and "My Rock" in bpy.data.meshes
+    bpy.data.meshes.remove(own.data)
+
+
+@pytest.mark.parametrize("haze_first", [True, False])
+def test_they_have_the_haze_of_the_ground(terrain, layer, haze_first):
+    add_camera(-20.0, 0.0)
+    materials = {material for item in terrain.ground_objects() for material in item.data.materials}
+
+    def add_haze():
+        sky.add_haze([*materials, *scatter.find_materials(terrain)], SkySettings(haze=0.5), 200.0, 0.0)
+
+    if haze_first:
+        add_haze()
+    scatter.add_scatter(bpy.context.scene, terrain, ScatterSettings(kind="rocks"), 1.0)
+    if not haze_first:
+        add_haze()
+    found = scatter.find_materials(terrain)
+    groups = [node for material in [*found, *materials] for node in material.node_tree.nodes if node.type == "GROUP"]
+    haze = [node for node in groups if node.node_tree.name.startswith(sky.HAZE_GROUP)]
+    assert len(found) == 2 and len(haze) == len({*found, *materials}) and len({node.inputs["Distance"].default_value for node in haze}) == 1
+
+
+def test_rocks_are_closed_and_plants_stand_on_the_ground():
+    rock = plants.rock(3, 2)
+    edges = np.sort(rock.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()
+    corners = rock.vertices[rock.triangles]
+    assert (np.cross(corners[:, 0], corners[:, 1]) * corners[:, 2]).sum() > 0.0, "its faces point outwards"
+    assert np.ptp(rock.vertices[:, :2], axis=0).max() == pytest.approx(1.0) and rock.vertices[:, 2].min() < 0.0
+    for model in (plants.grass(1, 30, 0.2, 0.3), plants.bush(1, 200, 1.0), plants.conifer(1, 0.2)):
+        assert np.isfinite(model.vertices).all() and -1.0 < model.vertices[:, 2].min() < 0.05 < model.vertices[:, 2].max()
+        assert model.triangles.max() < len(model.vertices) == len(model.shades) and len(model.materials) == len(model.triangles)
+
+
+def test_plants_follow_their_seed_and_their_detail():
+    assert np.array_equal(plants.conifer(4, 0.2).vertices, plants.conifer(4, 0.2).vertices)
+    assert not np.array_equal(plants.bush(4, 99, 1.0).vertices, plants.bush(5, 99, 1.0).vertices)
+    assert len(plants.conifer(4, 0.2).triangles) < 0.4 * len(plants.conifer(4, 0.5).triangles)
+    high = plants.grass(2, 400, 0.2, 0.6).vertices[:, 2].max() / plants.grass(2, 400, 0.2, 0.3).vertices[:, 2].max()
+    assert high == pytest.approx(2.0, rel=0.1)
