@@ -9,6 +9,8 @@ from .operators.billboards import operators as billboards_operators
 from .operators.btf import exports as btf_exports
 from .operators.btf import operators as btf_operators
 from .operators.clipbox import convert_to_mesh as clipbox_convert
+from .operators.clipbox import edits as clipbox_edits
+from .operators.clipbox import live_update as clipbox_live_update
 from .operators.clipbox import operators as clipbox_operators
 from .operators.distance import operators as distance_operators
 from .operators.distance import viewport as distance_viewport
@@ -73,6 +75,8 @@ MODULES = (
     packages_viewing,
     clipbox_operators,
     clipbox_convert,
+    clipbox_edits,
+    clipbox_live_update,
     bdam_operators,
     bdam_ground,
     bdam_freeze,

@@ -3,7 +3,7 @@
 Prints JSON. Parts (`--only`): `memory` (of a separate process), `build` (first builds, shown in Blender), `step` (the innermost box moves
 by one voxel; the longest tick of the main thread), `flight` (reused voxels), `extraction` (a surface compared with marching cubes of
 scikit-image on the same volume, alternating), `spheres` (50,000 of them, and the cost of distant ones), `cracks` (after random moves,
-surfaces are closed and equal builds from scratch).
+surfaces are closed and equal builds from scratch), `borders` (walls where boxes meet).
 """
 
 import json
@@ -27,6 +27,7 @@ import bpy
 import numpy as np
 
 from farfield.addon.core.clipbox.blocks import BlockMesh
+from farfield.addon.core.clipbox.clearings import find_clearing
 from farfield.addon.core.clipbox.engine import TerrainEngine, weld
 from farfield.addon.core.clipbox.settings import ClipboxSettings
 from farfield.addon.core.clipbox.terrains import spheres
@@ -40,6 +41,7 @@ from lib import command_line
 
 sys.path.append(str(environment.ROOT / "tests"))
 
+from clipbox_borders import count_walls
 from surface_extraction import extract_surface
 
 START = np.array([0.0, 0.0, 40.0])
@@ -245,6 +247,14 @@ def count_bad_edges(engine: TerrainEngine, meshes: list[BlockMesh]) -> dict[str,
     }
 
 
+def borders(given: Namespace) -> dict[str, Any]:
+    """Count faces between ground and air at the borders of boxes, and how many of them are walls, around three viewers."""
+    settings = ClipboxSettings(terrain=given.terrain)
+    sampler, random = build_sampler(settings), np.random.default_rng(1)
+    viewers = [find_clearing(sampler, np.array([*random.uniform(-500.0, 500.0, 2), START[2] - 80.0]), 1.0) for _ in range(3)]
+    return {"boxes": count_walls(sampler, settings, np.array(viewers)), "bound": 0}
+
+
 def memory(given: Namespace) -> dict[str, Any]:
     """Measure the peak memory of a process that builds seven boxes of 128^3, compared with one that builds almost nothing."""
     flags = ["--terrain", given.terrain, "--resolution", "128", "--at", "0,0,40"]
@@ -277,6 +287,7 @@ def round_to_milliseconds(seconds: list[float]) -> list[float]:
 PARTS = {  # memory first, because a child process inherits the peak memory of its parent
     "memory": memory,
     "build": build, "step": step, "flight": flight, "extraction": extraction, "spheres": sphere_csg, "cracks": cracks,
+    "borders": borders,
 }  # fmt: skip
 
 

@@ -2,13 +2,15 @@
 
 Prints JSON. Parts (`--only`): `error`, the paper's Figure 18: the fraction of pixels whose gray value differs by more than 20 of 255 from
 that of boxes with 192 voxels per side and the same extent, for 32, 64, 96 and 128; `uniform`, depth errors compared with one marching cubes
-mesh with as many triangles and the same extent. `--sheet FILE.png` shows the renders of `error`.
+mesh with as many triangles and the same extent; `moves`, FLIP between frames of a camera that stays while boxes of 64 voxels move on.
+`--sheet FILE.png` shows the renders of `error`.
 """
 
 import sys
 from argparse import Namespace
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -27,13 +29,16 @@ from farfield.addon.bridge.geometry.mesh_pool import fill_mesh
 from farfield.addon.bridge.rendering.render_scene import RenderScene, prepare_cycles, render_scene
 from farfield.addon.bridge.shading.node_builder import NodeBuilder
 from farfield.addon.compat import enable_nodes
+from farfield.addon.core.clipbox.clearings import find_clearing
 from farfield.addon.core.clipbox.engine import TerrainEngine, WeldedMesh, weld
+from farfield.addon.core.clipbox.layout import ALIGNMENT
 from farfield.addon.core.clipbox.settings import ClipboxSettings
 from farfield.addon.core.clipbox.terrains.generators import build_sampler
 from farfield.addon.core.clipbox.terrains.grids import Grid
 from farfield.addon.core.jobs.progress import run_to_end
 from lib import command_line
 from lib.contact_sheet import draw_contact_sheet, write_png
+from lib.flip_metric import flip_maps
 from lib.studio import look_at_matrix
 
 sys.path.append(str(environment.ROOT / "tests"))
@@ -47,6 +52,7 @@ RESOLUTIONS = (32, 64, 96, 128)
 MAX_GRAY_ERROR = 20 / 255
 SIZE = (640, 360)
 LIGHT_DIRECTION = (0.5, -0.4, 0.77)
+MOVES, SAMPLES_OF_MOVES = 8, 16  # Moves of the innermost box, and samples per pixel.
 NEAR_DISTANCE = 64.0  # scene units, half of the innermost box
 VIEWERS = {  # position, and direction towards the viewer
     "valley": ((0.0, 0.0, 45.0), (-0.62, -0.74, 0.26)),
@@ -114,6 +120,24 @@ def uniform(given: Namespace) -> dict[str, Any]:
     return {"order": ["nested boxes", "uniform marching cubes"], "by_viewer": figures}
 
 
+def moves(given: Namespace) -> dict[str, Any]:
+    """Measure FLIP between consecutive frames when the boxes move by four voxels of the innermost one at a time, each move of outer boxes
+    among them, while the camera stays."""
+    settings = ClipboxSettings(terrain=given.terrain, boxes=BOXES)
+    sampler, figures = build_sampler(settings), {}
+    for viewer in given.viewers:
+        position, direction = (np.array(vector) for vector in VIEWERS[viewer])
+        position = find_clearing(sampler, position, settings.voxel_size)
+        with renderer(position, direction, shade_lambert, samples=SAMPLES_OF_MOVES) as render:
+            engine, images = TerrainEngine(settings), []
+            for index in range(MOVES + 1):
+                run_to_end(engine.move(position + [index * float(ALIGNMENT), 0.0, 0.0]))
+                images.append(render(weld(list(engine.extract_all()))))
+        flips = [float(flip_map.mean()) for flip_map in flip_maps(list(pairwise(images)))]
+        figures[viewer] = {"mean": round(float(np.mean(flips)), 4), "max": round(max(flips), 4)}
+    return {"by_viewer": figures, "bound": 0.02}
+
+
 def build_nested(terrain: str, resolution: int, position: np.ndarray) -> WeldedMesh:
     """Build seven boxes around a viewer, with the same extent for every resolution."""
     settings = ClipboxSettings(terrain=terrain, resolution=resolution, voxel_size=EXTENT / resolution, boxes=BOXES)
@@ -148,12 +172,12 @@ def marching_cubes(densities: np.ndarray) -> WeldedMesh:
 
 @contextmanager
 def renderer(
-    position: np.ndarray, direction: np.ndarray, shade: Callable[[NodeBuilder], None]
+    position: np.ndarray, direction: np.ndarray, shade: Callable[[NodeBuilder], None], samples: int = 1
 ) -> Iterator[Callable[[WeldedMesh], np.ndarray]]:
-    """Yield a function that renders a mesh (H, W, 3) from `position` against `direction`, one sample per pixel; `shade` adds emission."""
+    """Yield a function that renders a mesh (H, W, 3) from `position` against `direction`; `shade` adds emission. samples: per pixel."""
     with render_scene("Farfield Terrain") as work:
-        prepare_cycles(work.scene, 1, 8)
-        work.scene.cycles.filter_width = 0.01
+        prepare_cycles(work.scene, samples, 8)
+        work.scene.cycles.filter_width = 0.01 if samples == 1 else 1.5
         work.scene.render.resolution_x, work.scene.render.resolution_y = SIZE
         work.camera.data.type, work.camera.data.angle = "PERSP", 1.2
         work.camera.data.clip_end = 1e6
@@ -194,7 +218,7 @@ def _emit(builder: NodeBuilder, gray: bpy.types.NodeSocket) -> None:
     builder.connect(emission.outputs[0], builder.node("ShaderNodeOutputMaterial").inputs["Surface"])
 
 
-PARTS = {"error": error, "uniform": uniform}
+PARTS = {"error": error, "uniform": uniform, "moves": moves}
 
 
 if __name__ == "__main__":

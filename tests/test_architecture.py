@@ -42,7 +42,7 @@ TOOLS_MAY_IMPORT = {
 }
 LAST_NETS = {  # may catch Exception
     *("addon/operators/error_reports.py", "addon/operators/long_work.py", "scripts/lib/command_line.py"),
-    *("addon/operators/follow_handlers.py", "addon/operators/view_following.py"),
+    *("addon/operators/follow_handlers.py", "addon/operators/view_following.py", "addon/operators/clipbox/live_update.py"),
 }
 SHARED_PACKAGES = {
     "core": {"geometry", "heights", "imaging", "files", "jobs"},

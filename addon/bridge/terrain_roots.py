@@ -14,6 +14,7 @@ import mathutils
 import numpy as np
 
 from ..core.errors import SettingsError
+from ..core.geometry.transforms import transform_points
 from ..core.geometry.viewers import Viewer
 from ..core.json_values import parse_json
 from ..core.settings import Settings
@@ -150,8 +151,13 @@ class TerrainRoot:
 
     def viewer_position(self, matrix: mathutils.Matrix | np.ndarray) -> np.ndarray:
         """Return the terrain position (3,) float64 of a viewer with the given matrix (4, 4) in world space."""
-        inverse = self._inverse_matrix()
-        return inverse[:3, :3] @ np.array(matrix, np.float64)[:3, 3] + inverse[:3, 3] + self.origin
+        return transform_points(self.matrix_to_terrain(), np.array(matrix, np.float64)[:3, 3])
+
+    def matrix_to_terrain(self) -> np.ndarray:
+        """Return the matrix (4, 4) float64 from world space to terrain space."""
+        matrix = self._inverse_matrix()
+        matrix[:3, 3] += self.origin
+        return matrix
 
     def to_terrain_space(self, viewer: Viewer) -> Viewer:
         """Return a viewer in world space as a viewer in terrain space."""

@@ -3,12 +3,14 @@
 import bpy
 
 from ..bridge.clipbox.objects import SceneTerrain
-from ..core.clipbox.settings import TERRAIN, ClipboxSettings, ConvertSettings
+from ..core.clipbox.settings import EDITS, TERRAIN, ClipboxSettings, ConvertSettings
 from ..core.settings import describe
 from ..operators import long_work
+from ..operators.clipbox import live_update
 from ..operators.clipbox.convert_to_mesh import FARFIELD_OT_clipbox_convert_to_mesh
+from ..operators.clipbox.edits import MODES, FARFIELD_OT_clipbox_edit
 from ..operators.clipbox.operators import FARFIELD_OT_clipbox_create
-from .sidebar import SettingsPanel, TerrainPanel, sub_panels
+from .sidebar import SettingsPanel, TerrainPanel, draw_message, sub_panels
 
 PANEL = "FARFIELD_PT_clipbox"
 
@@ -23,11 +25,29 @@ class FARFIELD_PT_clipbox(TerrainPanel, bpy.types.Panel):
     bl_options = {"DEFAULT_CLOSED"}
     terrain_type, start_button = SceneTerrain, (FARFIELD_OT_clipbox_create, "Create", "WORLD_DATA")
 
+    def draw_terrain(self, _terrain: SceneTerrain) -> None:
+        """Draw the button that updates the terrain live, and why that failed."""
+        is_live = live_update.current.terrain is not None
+        self.layout.operator(
+            live_update.FARFIELD_OT_clipbox_live_update.bl_idname, text="Live Update", icon="FILE_REFRESH", depress=is_live
+        )
+        if live_update.current.error:
+            draw_message(self.layout, live_update.current.error, "ERROR")
+
 
 class ClipboxSettingsPanel(SettingsPanel):
     """Mixin of the panels that show settings of terrains."""
 
     settings, property_name = describe(ClipboxSettings), "farfield_clipbox"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the settings, and the buttons that edit terrains."""
+        if self.group_name == EDITS:
+            self.layout.label(text="Selected objects:")
+            row = self.layout.row(align=True)
+            for mode, label, _ in MODES:
+                row.operator(FARFIELD_OT_clipbox_edit.bl_idname, text=label).mode = mode
+        super().draw(context)
 
 
 class FARFIELD_PT_clipbox_convert(SettingsPanel, bpy.types.Panel):

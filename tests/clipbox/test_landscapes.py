@@ -5,10 +5,11 @@ import pytest
 
 from farfield.addon.core.clipbox.settings import ClipboxSettings
 from farfield.addon.core.clipbox.terrains import landscapes
+from farfield.addon.core.clipbox.terrains.caverns import CARVINGS
 from farfield.addon.core.clipbox.terrains.generators import build_sampler
 from farfield.addon.core.clipbox.terrains.grids import Grid
 from farfield.addon.core.clipbox.terrains.height_noise import Gullies, Heights, carve_gullies, resolve, simplex_noise, sum_octaves
-from farfield.addon.core.clipbox.terrains.landscapes import LANDSCAPES, find_base, read_shape
+from farfield.addon.core.clipbox.terrains.landscapes import LANDSCAPES, build_landscape, find_base, read_shape
 
 STEP = 1e-3
 
@@ -91,7 +92,7 @@ class TestLandscapes:
 
     def test_the_ground_is_where_densities_change_their_sign(self, name):
         source = ClipboxSettings(terrain=name, voxel_size=8.0)
-        densities = build_sampler(source).densities(Grid((3, -5, -250), (4, 4, 500), 8.0)) > 0
+        densities = build_landscape(source, None)(Grid((3, -5, -250), (4, 4, 500), 8.0)) > 0
         (x, y), shape = positions(4, 8.0, (28.0, -36.0)), read_shape(source)
         surface = 8.0 * (densities.sum(axis=2) - 250)
         assert np.abs(surface - LANDSCAPES[name](x, y, 8.0, shape).height + find_base(name, shape)).max() < 12.0
@@ -102,3 +103,11 @@ class TestLandscapes:
             np.ptp(LANDSCAPES[name](x, y, 1.0, read_shape(ClipboxSettings(terrain=name, ruggedness=r))).height) for r in (0.5, 1.5)
         )
         assert high > 1.5 * low
+
+
+@pytest.mark.parametrize("name", CARVINGS)
+def test_caves_arches_and_roots_are_no_heights(name):
+    grid = Grid((-70, -70, -20), (140, 140, 50), 3.0)
+    solid = build_sampler(ClipboxSettings(terrain=name)).densities(grid) > 0
+    below_rock = np.flip(np.cumsum(np.flip(solid, axis=2), axis=2), axis=2) > 0
+    assert (below_rock & ~solid).any(axis=2).mean() > 0.02

@@ -204,7 +204,7 @@ class TestMoves:
     def test_a_slow_terrain_can_be_cancelled_between_slabs(self, monkeypatch):
         sampled, limit = [], 3
         sampler = Sampler("slow", lambda grid: sampled.append(grid) or 1.0)
-        monkeypatch.setattr(engine_module, "build_sampler", lambda _settings, _readers: sampler)
+        monkeypatch.setattr(engine_module, "build_sampler", lambda *_: sampler)
 
         def cancel(_):
             if len(sampled) >= limit:

@@ -340,7 +340,7 @@ class TestErrors:
             x, y, z = grid.coordinates()
             return 3.0 * np.sin(x / 9.0) - z + 0.0 * y
 
-        monkeypatch.setattr(engine_module, "build_sampler", lambda _settings, _readers: Sampler("failing", densities))
+        monkeypatch.setattr(engine_module, "build_sampler", lambda *_: Sampler("failing", densities))
         return state
 
     def test_a_failed_move_changes_nothing(self, failing_terrain):

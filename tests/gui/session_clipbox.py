@@ -1,6 +1,7 @@
 """A session in a Blender window: creates a terrain, cancels once, follows the view, converts it to meshes, and undoes that."""
 
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,12 +12,21 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not add
 
 from session import UserInput, current_job, module, open_panel_alone, results, save_screenshot, scene_state, start_session, wait_for_job
 
-BUTTON, FOLLOW = "farfield.clipbox_create", "farfield.clipbox_follow_view"
+BUTTON, FOLLOW, LIVE = "farfield.clipbox_create", "farfield.clipbox_follow_view", "farfield.clipbox_live_update"
+MAX_LIVE_SECONDS = 90.0
 
 
 def terrain_names() -> list[str]:
     """Return the names of the terrains of the scene."""
     return [terrain.name for terrain in module("addon.bridge.clipbox.objects").SceneTerrain.in_scene(bpy.context.scene)]
+
+
+def wait_for_seed(terrain, seed: int) -> Iterator[float]:
+    """Wait until a terrain was rebuilt with a seed, without an operator."""
+    started = time.monotonic()
+    while terrain.settings.seed != seed:
+        assert time.monotonic() - started < MAX_LIVE_SECONDS, "the terrain is not updated live"
+        yield 0.2
 
 
 def session() -> Iterator[float]:
@@ -77,6 +87,21 @@ def session() -> Iterator[float]:
     results["last_viewer"] = terrain.viewer.tolist()
     position = terrain.viewer_position(view.view_matrix.inverted())
     results["distance_to_view"] = max(abs(a - b) for a, b in zip(position, terrain.viewer, strict=True))
+
+    x, y = yield from user.find_button(LIVE)
+    user.press("LEFTMOUSE", x, y)
+    yield 1.0
+    bpy.context.scene.farfield_clipbox.seed = 3
+    bpy.ops.ed.undo_push(message="Change Seed")
+    yield from wait_for_seed(terrain, 3)
+    save_screenshot("4-live")
+    yield from user.press_undo()
+    yield from wait_for_seed(terrain, 0)
+    results["blocks_after_undo"] = len(terrain.blocks())
+    x, y = yield from user.find_button(LIVE)
+    user.press("LEFTMOUSE", x, y)
+    yield 1.0
+    results["is_live"] = module("addon.operators.clipbox.live_update").current.terrain is not None
 
     bpy.context.scene.farfield_clipbox_convert.collider = False  # this Blender lacks the package that simplifies
     bpy.ops.ed.undo_push(message="Disable Collider")

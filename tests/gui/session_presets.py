@@ -11,7 +11,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not add
 
 from session import UserInput, module, open_panel_alone, results, save_screenshot, start_session, wait_for_job
 
-PRESET = "Floating Islands"
+PRESET, CHOSEN = "Floating Islands", "Canyon"
+FIRST_BUTTON, BUTTON_HEIGHT = 87, 21  # Pixels from the picture in the menu of terrains down to the button of defaults, and to the next one.
 drawn: list[str] = []  # Terrains that the panel has shown, the latest last.
 DETAILS = (
     'Built "Hélm 頭" (860, 665, 575 triangles). Emission of the material "Visor" is left out. '
@@ -19,10 +20,16 @@ DETAILS = (
 )
 
 
-def open_menu(user: UserInput, tool: str) -> Iterator[float]:
-    """Open the menu of presets of a tool as its button does, in the middle of the 3D Viewport."""
+def menu_position(user: UserInput) -> tuple[int, int]:
+    """Return where menus open in the 3D Viewport: high enough that all presets are below."""
     viewport = user.region("WINDOW")
-    user.move(viewport.x + viewport.width // 2, viewport.y + viewport.height // 2)
+    return viewport.x + viewport.width // 2, viewport.y + viewport.height * 4 // 5
+
+
+def open_menu(user: UserInput, tool: str) -> Iterator[float]:
+    """Open the menu of presets of a tool as its button does."""
+    viewport = user.region("WINDOW")
+    user.move(*menu_position(user))
     yield 0.5
     with bpy.context.temp_override(window=user.window, area=user.area, region=viewport):
         bpy.ops.wm.call_panel(name=f"FARFIELD_PT_{tool}_presets", keep_open=True)
@@ -32,8 +39,7 @@ def open_menu(user: UserInput, tool: str) -> Iterator[float]:
 def choose_by_picture(user: UserInput) -> Iterator[float]:
     """Open the menu of the presets of terrains, click the picture in it, and then one of those that appear."""
     yield from open_menu(user, "clipbox")
-    viewport = user.region("WINDOW")
-    x, y = viewport.x + viewport.width // 2, viewport.y + viewport.height // 2
+    x, y = menu_position(user)
     for name, down in (("chosen", 0), ("others", 60)):  # The picture, then the second one of those that appear.
         user.move(x, y - down)
         yield 1.0
@@ -44,10 +50,10 @@ def choose_by_picture(user: UserInput) -> Iterator[float]:
 
 
 def choose_by_name(user: UserInput) -> Iterator[float]:
-    """Open the menu of the presets of terrains, and click the button "Canyon" in it. The menu stays open."""
+    """Open the menu of the presets of terrains, and click the button of one in it. The menu stays open."""
     yield from open_menu(user, "clipbox")
-    viewport = user.region("WINDOW")
-    x, y = viewport.x + viewport.width // 2, viewport.y + viewport.height // 2 - 172
+    x, y = menu_position(user)
+    y -= FIRST_BUTTON + BUTTON_HEIGHT * (1 + list(module("addon.operators.presets").find_presets("clipbox")).index(CHOSEN))
     user.move(x, y)
     yield 1.0
     user.press("LEFTMOUSE", x, y)

@@ -35,6 +35,10 @@ def test_it_follows_the_view_until_the_button_is_pressed_again(results):
     assert results["distance_to_view"] < 8.0
 
 
+def test_it_is_updated_live_and_undo_is_too(results):
+    assert results["blocks_after_undo"] > 100 and not results["is_live"]
+
+
 def test_it_is_converted_and_undo_restores_it(results):
     assert results["converted"] == ["Ground"] and results["terrains_after_conversion"] == []
     assert results["terrains_after_undo"] == results["terrains"]

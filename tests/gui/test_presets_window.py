@@ -1,10 +1,15 @@
 """Presets and results in a real window."""
 
+import json
+
 import pytest
 
+from farfield.addon.core.presets import list_presets
+from farfield.addon.operators.documentation import ROOT
 from gui.session_runner import run_gui_session
 
 pytestmark = pytest.mark.gui
+BUILT_IN = ROOT / "addon" / "presets" / "clipbox"
 SMALL_WINDOW = 1280, 720
 
 
@@ -27,7 +32,9 @@ def test_the_panel_shows_a_preset_while_the_menu_is_open(results):
 
 
 def test_a_preset_is_chosen_by_its_picture(results):
-    assert results["by_picture"] == {"terrain": "spheres", "name": "Asteroids"} and results["by_picture_undone"] == "islands"
+    second = list_presets(BUILT_IN)[1]
+    terrain = json.loads(second.read_text(encoding="utf-8"))["settings"]["terrain"]
+    assert results["by_picture"] == {"terrain": terrain, "name": second.stem} and results["by_picture_undone"] == "islands"
 
 
 def test_a_new_terrain_is_within_the_clipping_range_and_reported(results):

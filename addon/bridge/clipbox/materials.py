@@ -44,6 +44,19 @@ DEFAULTS_BY_TERRAIN = {  # Other values than DEFAULTS.
         "Rock": (0.46, 0.3, 0.16, 1.0), "Strata": DESERT_SAND, "Scree": DESERT_SAND, "Grass": DESERT_SAND, "Undergrowth": DESERT_SAND,
         "Snow": DESERT_SAND, "Sand": DESERT_SAND, "Color Noise": 0.3,
     },
+    "karst": {
+        "Rock": (0.2, 0.185, 0.16, 1.0), "Strata": (0.34, 0.31, 0.26, 1.0), "Scree": (0.16, 0.15, 0.1, 1.0),
+        "Grass": (0.045, 0.075, 0.02, 1.0), "Undergrowth": (0.022, 0.042, 0.012, 1.0), "Snow": (0.04, 0.065, 0.018, 1.0),
+        "Sand": (0.3, 0.26, 0.18, 1.0), "Rock Slope": 0.45, "Slope Noise": 0.5,
+    },
+    "arches": {
+        "Rock": (0.36, 0.13, 0.055, 1.0), "Strata": (0.5, 0.24, 0.12, 1.0), "Scree": (0.4, 0.18, 0.085, 1.0),
+        "Grass": (0.38, 0.2, 0.1, 1.0), "Undergrowth": SCRUB, "Snow": (0.42, 0.18, 0.08, 1.0), "Sand": (0.46, 0.23, 0.115, 1.0),
+    },
+    "alien": {
+        "Rock": (0.2, 0.1, 0.17, 1.0), "Strata": (0.38, 0.2, 0.27, 1.0), "Scree": (0.26, 0.16, 0.19, 1.0), "Grass": (0.05, 0.17, 0.16, 1.0),
+        "Undergrowth": (0.24, 0.08, 0.035, 1.0), "Snow": (0.34, 0.27, 0.14, 1.0), "Sand": (0.025, 0.1, 0.12, 1.0), "Rock Slope": 0.6,
+    },
 }  # fmt: skip
 
 

@@ -10,6 +10,7 @@ from ...core.clipbox.files import readers
 from ...core.clipbox.files.file_data import HeightMap
 from ...core.clipbox.files.readers import BLEND_PREFIX, Readers
 from ...core.clipbox.settings import ClipboxSettings
+from ...core.clipbox.terrains.edits import NO_EDITS, Edits
 from ...core.heights.readers import IMAGE_EXTENSIONS
 from ..imaging.images import read_gray_image
 from .openvdb_files import read_vdb
@@ -37,7 +38,9 @@ def absolute_path(path: str, library: bpy.types.Library | None = None) -> str:
 READERS: Readers = {**readers.READERS, **dict.fromkeys(IMAGE_EXTENSIONS, read_image), VOLUME_EXTENSION: read_vdb}
 
 
-def create_engine(settings: ClipboxSettings, closed: bool = False, library: bpy.types.Library | None = None) -> TerrainEngine:
+def create_engine(
+    settings: ClipboxSettings, closed: bool = False, library: bpy.types.Library | None = None, edits: Edits = NO_EDITS
+) -> TerrainEngine:
     """Create an engine for a new terrain; `closed` adds walls at the boundary of the outermost box.
 
     library: the file that the settings are linked from, None for this file.
@@ -45,7 +48,7 @@ def create_engine(settings: ClipboxSettings, closed: bool = False, library: bpy.
     Raises:
         SettingsError, FileError: the formula or the source file cannot be read.
     """
-    return TerrainEngine(resolve_paths(settings, library), READERS, closed)
+    return TerrainEngine(resolve_paths(settings, library), READERS, closed, edits)
 
 
 def resolve_paths(settings: ClipboxSettings, library: bpy.types.Library | None = None) -> ClipboxSettings:

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .layout import IntBox
+from .layout import IntBox, box_slices
 from .meshing import surface_nets
 from .meshing.subdivision import PatchVertices, subdivide
 from .meshing.surface_nets import CornerVertices
 from .meshing.triangulation import polygon_normals, smooth, split_quads, triangulate_fans
-from .nested import NestedBoxes, box_slices
+from .nested import NestedBoxes
 
 BlockIndex = tuple[int, int, int]  # position of a block among the blocks of its level
 
@@ -63,7 +63,8 @@ class _Corners:
 def compute_signatures(boxes: NestedBoxes, level: int, blocks: list[BlockIndex], side: int) -> dict[BlockIndex, tuple[int, ...]]:
     """Return everything that the surfaces of blocks depend on in addition to the terrain.
 
-    These are the bounds to which the visible part of the level, and those of finer levels, clip a block and its neighborhood.
+    These are the bounds to which the visible part of the level, and those of finer levels, clip a block and its neighborhood, and those
+    between which densities are blended.
     """
     margin = _margin(boxes, level) + 1  # cases depend on the next corner
     low = np.array(blocks, np.int64).reshape(-1, 3) * side - margin
@@ -71,6 +72,10 @@ def compute_signatures(boxes: NestedBoxes, level: int, blocks: list[BlockIndex],
     bounds = [_clip_bounds(boxes.layout.visible[level], low, high)]
     if (hole := boxes.hole(level)) is not None:
         bounds.append(_clip_bounds(hole, low, high))
+    for outer_level in range(level, min(level + 2, boxes.coarsest_level)):
+        if (transition := boxes.transition(outer_level)) is not None:
+            scale = 1 << (outer_level - level)
+            bounds.append(transition.bounds(low // scale, -(-high // scale)))
     if level == boxes.finest_level:
         for finer_level in range(boxes.finest_level):
             scale, finer = 1 << (level - finer_level), boxes.layout.visible[finer_level]

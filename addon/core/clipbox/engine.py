@@ -15,6 +15,7 @@ from .files.readers import READERS, Readers
 from .layout import is_same_layout, layout_around, visible_blocks
 from .nested import NestedBoxes
 from .settings import ClipboxSettings
+from .terrains.edits import NO_EDITS, Edits
 from .terrains.generators import build_sampler
 
 BLOCK_SIZE = 32  # voxels per side; smaller blocks cost more overhead than work
@@ -51,6 +52,7 @@ class TerrainEngine:
 
     Attributes:
         settings: how the terrain is made.
+        edits: solids that are added to it and subtracted from it.
         clock: seconds of all moves by stage.
         boxes: the voxels.
         finished_blocks: blocks that the current move has finished, which may be shown early; every move starts with an empty queue.
@@ -59,15 +61,15 @@ class TerrainEngine:
         warnings: sentences for the user about the source file.
     """
 
-    def __init__(self, settings: ClipboxSettings, readers: Readers = READERS, closed: bool = False) -> None:
+    def __init__(self, settings: ClipboxSettings, readers: Readers = READERS, closed: bool = False, edits: Edits = NO_EDITS) -> None:
         """Read the formula or source file of the terrain. `closed` as in `NestedBoxes`.
 
         Raises:
             SettingsError, FileError: it cannot be read.
         """
-        self.settings = settings
+        self.settings, self.edits = settings, edits
         self.clock = StageClock()
-        self._sampler = build_sampler(settings, readers)
+        self._sampler = build_sampler(settings, readers, edits)
         self.warnings = self._sampler.warnings
         self.boxes = NestedBoxes(self._sampler, settings, closed)
         self.finished_blocks: SimpleQueue[tuple[BlockKey, BlockMesh]] = SimpleQueue()

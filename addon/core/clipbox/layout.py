@@ -63,6 +63,11 @@ class BoxLayout:
         return IntBox(self.visible[level - 1].low // 2, self.visible[level - 1].high // 2) if level else None
 
 
+def box_slices(low: np.ndarray, high: np.ndarray) -> tuple[slice, ...]:
+    """Return the slices of the part `low` to `high` (3,) of an array."""
+    return tuple(slice(*span) for span in zip(low.tolist(), high.tolist(), strict=True))
+
+
 def layout_around(viewer: np.ndarray, settings: ClipboxSettings) -> BoxLayout:
     """Return the boxes around a viewer at (3,) float64 scene units. Boxes move in steps of `threshold` voxels."""
     resolution, positions = settings.resolution, np.asarray(viewer, np.float64) / (settings.voxel_size * settings.threshold)

@@ -5,12 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..jobs.progress import Progress, Steps, subprogress
-from .layout import BoxLayout, IntBox, is_same_layout, layout_around
+from .layout import BoxLayout, IntBox, box_slices, is_same_layout, layout_around
 from .meshing import surface_nets
 from .meshing.case_table import DIRECTIONS, OCTANTS
 from .settings import ClipboxSettings
 from .terrains.generators import Sampler
 from .toroidal_grid import ToroidalGrid
+from .transitions import MAX_WIDTH, RESOLUTION_PER_WIDTH, Transition
 
 # (6, 4, 3) octants around the lattice edge that leaves a corner in each direction
 EDGE_OCTANTS = np.array([OCTANTS[OCTANTS[:, axis] == high] for axis in range(3) for high in (0, 1)])
@@ -77,6 +78,13 @@ class NestedBoxes:
         """Return the voxels of `level` that finer voxels replace."""
         return self.layout.hole(level) if level > self.finest_level else None
 
+    def transition(self, level: int) -> Transition | None:
+        """Return the transition from a level to the next coarser one; None for the outermost box, and for blocks, whose shape is exact."""
+        if level == self.coarsest_level or self.settings.surface == "blocky":
+            return None
+        width = min(self.settings.resolution // RESOLUTION_PER_WIDTH, MAX_WIDTH)
+        return Transition(self.layout.visible[level], width, self.grid(level + 1))
+
     def window(self, level: int, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """Return the voxels `low` to `high` of a level.
 
@@ -85,14 +93,14 @@ class NestedBoxes:
         """
         visible = self.layout.visible[level]
         first, last = np.maximum(low, visible.low), np.minimum(high, visible.high)
-        window = self.grid(level).window(first, last)
+        window = self._visible_window(level, first, last)
         if window.shape == tuple((high - low).tolist()):
             return window
         if level < self.coarsest_level:
             near_low, near_high = np.maximum(low, visible.low - 2), np.minimum(high, visible.high + 2)
-            coarser = self.grid(level + 1).window(near_low // 2, -(-near_high // 2))
+            coarser = self._visible_window(level + 1, near_low // 2, -(-near_high // 2))
             result = np.full(tuple((high - low).tolist()), window.flat[0])  # the right value if all are alike, otherwise unused
-            if _is_uniform(window, coarser):
+            if surface_nets.have_one_sign(window, coarser):
                 return result
             for axis in range(3):
                 coarser = coarser.repeat(2, axis)
@@ -107,20 +115,33 @@ class NestedBoxes:
             padded[is_outside] = -np.abs(padded[is_outside])
         return padded
 
+    def _visible_window(self, level: int, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """Return the voxels `low` to `high` of the visible part of a level."""
+        window, transition = self.grid(level).window(low, high), self.transition(level)
+        if transition is None or ((low >= transition.unblended.low) & (high <= transition.unblended.high)).all():
+            return window
+        return transition.blend_window(low, window)
+
+    def _visible_values(self, level: int, voxels: np.ndarray) -> np.ndarray:
+        """Return the values (...) of `voxels` (..., 3) in the visible part of a level; of others, those of the nearest ones."""
+        visible, transition = self.layout.visible[level], self.transition(level)
+        values = self.grid(level).values_at(np.clip(voxels, visible.low, visible.high - 1))
+        return values if transition is None else transition.blend_voxels(voxels, values)
+
     def gather_octants(self, level: int, corners: np.ndarray) -> CornerNeighborhood:
         """Return the octants of corners (K, 3) of a level's lattice, which lie in its visible part or on the boundary of that."""
         voxels = corners[:, None] + OCTANTS - 1
         visible, hole = self.layout.visible[level], self.hole(level)
-        values = self.grid(level).values_at(np.clip(voxels, visible.low, visible.high - 1))
+        values = self._visible_values(level, voxels)
         if self.closed and level == self.coarsest_level:
             values = np.where(visible.contains(voxels), values, -np.abs(values))
         centers = np.broadcast_to((OCTANTS - 0.5).astype(np.float32), voxels.shape).copy()
         if hole is not None and (is_finer := hole.contains(voxels)).any():
             finer_voxels = (2 * corners[:, None] + OCTANTS - 1)[is_finer]
-            values[is_finer] = self.grid(level - 1).values_at(finer_voxels)
+            values[is_finer] = self._visible_values(level - 1, finer_voxels)
             centers[is_finer] *= np.float32(0.5)
         if level < self.coarsest_level and (is_coarser := ~visible.contains(voxels)).any():
-            values[is_coarser] = self.grid(level + 1).values_at(voxels[is_coarser] // 2)
+            values[is_coarser] = self._visible_values(level + 1, voxels[is_coarser] // 2)
             centers[is_coarser] = (voxels // 2 * 2 + 1 - corners[:, None])[is_coarser]
         return CornerNeighborhood(values.T, np.moveaxis(centers, 0, 2))
 
@@ -141,14 +162,3 @@ class NestedBoxes:
                 octants = self.gather_octants(end_level, ends[rows])
                 cases[rows] = surface_nets.case_indices(surface_nets.is_solid(octants.values))
         return cases
-
-
-def box_slices(low: np.ndarray, high: np.ndarray) -> tuple[slice, ...]:
-    """Return the slices of the part `low` to `high` (3,) of an array."""
-    return tuple(slice(*span) for span in zip(low.tolist(), high.tolist(), strict=True))
-
-
-def _is_uniform(*windows: np.ndarray) -> bool:
-    """Return whether all voxels of all `windows` are solid, or all are empty."""
-    masks = [surface_nets.is_solid(window) for window in windows]
-    return all(mask.all() for mask in masks) or not any(mask.any() for mask in masks)

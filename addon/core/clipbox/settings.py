@@ -6,8 +6,8 @@ from functools import partial
 from ..errors import SettingsError
 from ..settings import Choice, Settings, Unit, setting
 
-TERRAIN = "Terrain"
-in_terrain, in_boxes, in_detail = (partial(setting, group=group) for group in (TERRAIN, "Boxes", "Detail"))
+TERRAIN, EDITS = "Terrain", "Edits"
+in_terrain, in_boxes, in_detail, in_edits = (partial(setting, group=group) for group in (TERRAIN, "Boxes", "Detail", EDITS))
 for_spheres, for_forest, for_heights = (partial(in_terrain, used_if={"terrain": (kind,)}) for kind in ("spheres", "forest", "heights"))
 for_files = partial(in_terrain, used_if={"terrain": ("heights", "volume", "forest")})
 MIN_RESOLUTION_PER_THRESHOLD = 8  # voxels; with a larger threshold a box could leave the next coarser one
@@ -18,6 +18,9 @@ LANDSCAPES = {
     "mesas": Choice("Mesas", "Table mountains with cliffs above scree"),
     "coast": Choice("Coast", "Cliffs, beaches and sea stacks, with the level of the sea at z = 0"),
     "dunes": Choice("Dunes", "Sand that the wind has piled up, gentle on its side and steep behind"),
+    "karst": Choice("Karst", "Towers of limestone on a plain, with sinkholes, and caves with columns"),
+    "arches": Choice("Arches", "Walls of red rock with arches"),
+    "alien": Choice("Alien", "Spires, and roots that wind through ground and air"),
 }
 TERRAINS = LANDSCAPES | {
     "cascades": Choice("Cascades", "Ridged mountains with overhangs, arches and caves"),
@@ -106,6 +109,14 @@ class ClipboxSettings(Settings):
         maximum=1.0,
         unit=Unit.FRACTION,
         used_if={"subdivided_boxes": True},
+    )
+    edit_blend: float = in_edits(
+        0.0,
+        "Distance within which added and subtracted objects blend with the ground",
+        minimum=0.0,
+        maximum=1e4,
+        unit=Unit.LENGTH,
+        panel_label="Blend",
     )
     surface: str = in_detail("smooth", "How the surface is extracted from the voxels", choices=SURFACES)
     smoothing: int = in_detail(

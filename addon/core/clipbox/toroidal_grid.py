@@ -62,6 +62,11 @@ class ToroidalGrid:
         x, y, z = np.moveaxis(voxels % self.side, -1, 0)
         return self._data[x, y, z]
 
+    def cells_at(self, voxels: np.ndarray) -> np.ndarray:
+        """Return the values (K, 2, 2, 2) of the two voxels along each axis from `voxels` (K, 3) on, all within the cube."""
+        x, y, z = ((voxels[:, axis, None] + np.arange(2)) % self.side for axis in range(3))
+        return self._data[x[:, :, None, None], y[:, None, :, None], z[:, None, None, :]]
+
     def _wrapped_indices(self, origin: tuple[int, int, int], shape: tuple[int, int, int]) -> tuple[np.ndarray, ...]:
         return np.ix_(*(np.arange(low, low + count) % self.side for low, count in zip(origin, shape, strict=True)))
 

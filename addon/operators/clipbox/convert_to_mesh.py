@@ -7,6 +7,7 @@ import numpy as np
 
 from ...bridge.clipbox import objects as terrain_objects
 from ...bridge.clipbox import sources
+from ...bridge.clipbox.edits import read_edits
 from ...bridge.clipbox.objects import SceneTerrain
 from ...core.clipbox.engine import TerrainEngine
 from ...core.clipbox.settings import ConvertSettings
@@ -85,7 +86,8 @@ def prepare(terrain: SceneTerrain, settings: ConvertSettings) -> ConvertJob:
     if terrain.read_only_reason and not settings.keep_terrain:
         raise SettingsError(f"{terrain.read_only_reason}, or enable Keep Terrain.", ("keep_terrain",))
     _ = terrain.origin  # raises SettingsError before anything is created
-    engine = sources.create_engine(terrain.settings, settings.closed, terrain.root.library)
+    edits = read_edits(bpy.context.scene, terrain.settings.edit_blend, terrain)
+    engine = sources.create_engine(terrain.settings, settings.closed, terrain.root.library, edits)
     return ConvertJob(terrain, engine, terrain.viewer, settings)
 
 

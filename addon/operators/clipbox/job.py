@@ -8,6 +8,7 @@ import numpy as np
 
 from ...bridge.clipbox import objects as terrain_objects
 from ...bridge.clipbox import sources
+from ...bridge.clipbox.edits import read_edits
 from ...bridge.clipbox.materials import GroundImage, create_terrain_material
 from ...bridge.clipbox.objects import SceneTerrain
 from ...bridge.clipbox.sources import absolute_path
@@ -94,7 +95,8 @@ def prepare(settings: ClipboxSettings, viewer: np.ndarray, terrain: SceneTerrain
     """
     check_viewer(viewer, settings.voxel_size)
     find_ground_image(settings, np.zeros(3))  # before any computation
-    return TerrainJob(sources.create_engine(settings), keep_blend_paths(settings), np.array(viewer, np.float64), terrain)
+    edits = read_edits(bpy.context.scene, settings.edit_blend, terrain)
+    return TerrainJob(sources.create_engine(settings, edits=edits), keep_blend_paths(settings), np.array(viewer, np.float64), terrain)
 
 
 def keep_blend_paths(settings: ClipboxSettings) -> ClipboxSettings:

@@ -6,11 +6,13 @@ import numpy as np
 
 from ...bridge.clipbox import objects as terrain_objects
 from ...bridge.clipbox import sources
+from ...bridge.clipbox.edits import read_edits
 from ...bridge.clipbox.objects import PendingBlocks, SceneTerrain
 from ...bridge.viewers import extend_clipping
 from ...core.clipbox.blocks import BlockMesh
 from ...core.clipbox.engine import BlockKey, TerrainEngine, Update
 from ...core.clipbox.settings import ClipboxSettings
+from ...core.clipbox.terrains.edits import Edits
 from ...core.geometry.viewers import Viewer
 from .. import follow_handlers, properties, start_job
 from ..follow_tools import FollowTool
@@ -117,6 +119,11 @@ class TerrainChange:
         return ()
 
 
+def _edits_of(terrain: SceneTerrain) -> Edits:
+    """Return the edits of a terrain, in the scene that it is in."""
+    return read_edits(bpy.context.scene, terrain.settings.edit_blend, terrain)
+
+
 class ClipboxFollowTool(FollowTool):
     """The tool `clipbox` among those whose terrains follow. Its engines take the terrain position (3,) of the viewer."""
 
@@ -128,11 +135,11 @@ class ClipboxFollowTool(FollowTool):
         Raises:
             SettingsError, FileError: the settings, the formula or the source file cannot be read.
         """
-        return sources.create_engine(terrain.settings)
+        return sources.create_engine(terrain.settings, edits=_edits_of(terrain))
 
     def is_engine_of(self, engine: TerrainEngine, terrain: SceneTerrain) -> bool:
-        """Return whether an engine has the current settings of its terrain."""
-        return engine.settings == sources.resolve_paths(terrain.settings)
+        """Return whether an engine has the current settings of its terrain and the solids that are now added and subtracted."""
+        return engine.settings == sources.resolve_paths(terrain.settings) and engine.edits == _edits_of(terrain)
 
     def to_terrain(self, terrain: SceneTerrain, viewer: Viewer) -> np.ndarray:
         """Return the terrain position (3,) float64 of a viewer in world space."""

@@ -77,6 +77,12 @@ def is_solid(values: np.ndarray) -> np.ndarray:
     return values.view(np.int16) > 0 if values.dtype == np.float16 else values > 0  # much faster than comparing half floats
 
 
+def have_one_sign(*windows: np.ndarray) -> bool:
+    """Return whether all voxels of all `windows` are solid, or all are empty."""
+    masks = [is_solid(window) for window in windows]
+    return all(mask.all() for mask in masks) or not any(mask.any() for mask in masks)
+
+
 def unravel_indices(indices: np.ndarray, shape: tuple[int, int, int]) -> np.ndarray:
     """Return the coordinates (K, 3) int32 of voxels or corners with flat `indices` (K,) in an array."""
     remainder, coordinates = indices.astype(np.int32), np.empty((len(indices), AXES), np.int32)

@@ -14,9 +14,11 @@ from ...errors import FileError, GeometryError
 from ..files.readers import READERS, Readers
 from ..meshing.surface_nets import REPAIR_MARGIN, is_solid, repair_voxels
 from ..settings import ClipboxSettings
+from .caverns import CARVINGS
+from .edits import NO_EDITS, Edits
 from .forest import build_forest
 from .formulas import Formula
-from .grids import DensityFunction, Grid
+from .grids import DensityFunction, Grid, smooth_minimum
 from .heights import build_heights
 from .landscapes import LANDSCAPES, build_landscape
 from .noise import fbm
@@ -32,10 +34,11 @@ Builder = Callable[[ClipboxSettings, Readers], DensityFunction]
 
 @dataclass(frozen=True)
 class Sampler:
-    """A density function with checked results."""
+    """A density function with checked results, and what the user has added and subtracted."""
 
     name: str
     function: DensityFunction
+    edits: Edits = NO_EDITS
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -64,7 +67,7 @@ class Sampler:
         """
         try:
             values = np.asarray(self.function(grid))
-            values = np.broadcast_to(values, grid.shape)
+            values = self.edits.apply(grid, np.broadcast_to(values, grid.shape))
             clipped = np.clip(np.nan_to_num(values, nan=-1.0, posinf=MAX_DENSITY, neginf=-MAX_DENSITY), -MAX_DENSITY, MAX_DENSITY)
         except FUNCTION_ERRORS as error:
             position = ", ".join(f"{index * grid.voxel_size:g}" for index in grid.origin)
@@ -76,14 +79,14 @@ class Sampler:
         return half
 
 
-def build_sampler(source: ClipboxSettings, readers: Readers = READERS) -> Sampler:
+def build_sampler(source: ClipboxSettings, readers: Readers = READERS, edits: Edits = NO_EDITS) -> Sampler:
     """Build the density function of a terrain. Source files are read with the given readers.
 
     Raises:
         SettingsError, FileError: its formula or its source file cannot be read.
     """
     try:
-        return Sampler(source.terrain, BUILDERS[source.terrain](source, readers))
+        return Sampler(source.terrain, BUILDERS[source.terrain](source, readers), edits)
     except MemoryError:
         raise FileError(f'"{source.source}" needs more memory than is available; reduce its size.') from None
 
@@ -106,24 +109,9 @@ def build_cascades(source: ClipboxSettings, _readers: Readers) -> DensityFunctio
         np.sqrt(tunnels, out=tunnels)
         tunnels -= np.float32(0.12)
         tunnels *= np.float32(60.0 * scale)
-        return _smooth_minimum(ground, tunnels, np.float32(max(8.0 * scale, 3.0 * grid.voxel_size)))
+        return smooth_minimum(ground, tunnels, np.float32(max(8.0 * scale, 3.0 * grid.voxel_size)))
 
     return densities
-
-
-def _smooth_minimum(first: np.ndarray, second: np.ndarray, width: np.float32) -> np.ndarray:
-    """Return the polynomial smooth minimum of two densities, which blends where they differ by less than `width`.
-
-    It rounds off the edges between them, which would show as jagged lines in voxels.
-    """
-    blend = np.abs(first - second)
-    np.subtract(width, blend, out=blend)
-    np.maximum(blend, np.float32(0.0), out=blend)
-    blend *= blend
-    blend /= 4.0 * width
-    minimum = np.minimum(first, second)
-    minimum -= blend
-    return minimum
 
 
 def build_islands(source: ClipboxSettings, _readers: Readers) -> DensityFunction:
@@ -170,7 +158,7 @@ def _preset(formula: str) -> Builder:
 
 
 BUILDERS: dict[str, Builder] = {
-    **dict.fromkeys(LANDSCAPES, lambda source, _readers: build_landscape(source)),
+    **dict.fromkeys(LANDSCAPES, lambda source, _readers: build_landscape(source, CARVINGS.get(source.terrain))),
     "cascades": build_cascades,
     "islands": build_islands,
     "spheres": build_spheres,

@@ -49,3 +49,18 @@ def lerp_axis(values: np.ndarray, below: np.ndarray, above: np.ndarray, weights:
     upper *= weights[1].reshape(shape)
     result += upper
     return result
+
+
+def smooth_minimum(first: np.ndarray, second: np.ndarray, width: np.float32) -> np.ndarray:
+    """Return the polynomial smooth minimum of two densities, which blends where they differ by less than `width`.
+
+    It rounds off the edges between them, which would show as jagged lines in voxels.
+    """
+    blend = np.abs(first - second)
+    np.subtract(width, blend, out=blend)
+    np.maximum(blend, np.float32(0.0), out=blend)
+    blend *= blend
+    blend /= 4.0 * width
+    minimum = np.minimum(first, second)
+    minimum -= blend
+    return minimum

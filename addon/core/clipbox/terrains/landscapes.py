@@ -17,10 +17,13 @@ from .noise import fbm
 SEEDS = 128  # Of each terrain.
 MORE, WARPS, GULLIES, BUMPS, LEDGES = 20, 40, 60, 80, 100  # Added to the seed, so that octaves of different noise are independent.
 ROCK_STEEPNESS, ROCK_BLEND = 0.75, 0.5  # The length of the gradient from which on ground is rock, and how much steeper all of it is.
+LEVEL_AT_0 = "coast", "karst", "arches", "alien"  # Whose sea or plain is at a height of 0.
 LEDGE_WAVELENGTH, LEDGE_OCTAVES, LEDGE_DEPTH = 18.0, 4, 3.6  # On rock.
+MAX_STEEPNESS = 5.0  # The length of the gradient from which on ledges become less deep, since they would float above the ground.
 BUMP_WAVELENGTH, BUMP_OCTAVES, BUMP_HEIGHT = 24.0, 5, 0.6  # Everywhere.
 DUNES = (240.0, 17.0), (75.0, 2.6)  # Wavelengths and heights of large and small ones.
 DUNE_WARP = 2.4  # Of their crests, in radians of their waves.
+FIN_DISTANCE, FIN_HEIGHT, PLAIN_HEIGHT, FIN_WARP = 62.0, 62.0, 9.0, 2.6  # Lengths, and radians of waves across fins.
 DUNE_SKEW = 0.75  # From symmetric waves, 0, to vertical slip faces, 1.
 
 Noise = Callable[[np.ndarray, np.ndarray], Heights]
@@ -42,6 +45,7 @@ class Shape:
 
 
 Ground = Callable[[np.ndarray, np.ndarray, float, Shape], Heights]  # Of positions (X, Y) and the spacing of samples.
+Carving = Callable[[Grid, np.ndarray, Shape], np.ndarray]  # Returns the densities of a grid, in meters, with what is not a height.
 
 
 def alps(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
@@ -82,17 +86,17 @@ def coast(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights
     """Return land that falls to the sea in cliffs or beaches, with stacks of rock before the cliffs. The sea is at 0."""
     land = warp(lambda x, y: sum_octaves(x, y, spacing, 3_000.0, 5, shape.seed, 0.4), x, y, spacing, 700.0, 80.0, shape.seed + WARPS)
     inland = sum_octaves(x, y, spacing, 1_400.0, 4, shape.seed + MORE, 0.45).scale(22.0)
-    rise = _rise(land, 0.3, 0.3).scale(70.0).add(_rise(land, -0.16, 0.16), 30.0)
-    cliffs = rise.add(_rise(land, -0.01, 0.012), 46.0)
+    inland_rise = rise(land, 0.3, 0.3).scale(70.0).add(rise(land, -0.16, 0.16), 30.0)
+    cliffs = inland_rise.add(rise(land, -0.01, 0.012), 46.0)
     cliffs = cliffs.multiply(inland.map(1.0 + inland.height / np.float32(60.0), np.float32(1.0 / 60.0)))
-    beaches = rise.add(_rise(land, 0.05, 0.16), 48.0)
+    beaches = inland_rise.add(rise(land, 0.05, 0.16), 48.0)
     kinds = sum_octaves(x, y, spacing, 1_100.0, 2, shape.seed + MORE + 8)
-    ground = beaches.add(cliffs.add(beaches, -1.0).multiply(_rise(kinds, -0.1, 0.14)))
+    ground = beaches.add(cliffs.add(beaches, -1.0).multiply(rise(kinds, -0.1, 0.14)))
     ground = ground.map((ground.height - np.float32(39.0)) * np.float32(shape.ruggedness), np.float32(shape.ruggedness))
     ground = carve_gullies(ground, x, y, spacing, Gullies(420.0, 6, 0.045 * shape.erosion, 0.8, 0.35), shape.seed + GULLIES)
     stacks = sum_octaves(x, y, spacing, 150.0, 3, shape.seed + MORE + 12, 0.4)
     near_shore = _cut(land.map(land.height + np.float32(0.07), np.float32(1.0)), 0.085)
-    return ground.add(_rise(stacks, 0.42, 0.07).multiply(near_shore), 58.0 * shape.ruggedness)
+    return ground.add(rise(stacks, 0.42, 0.07).multiply(near_shore), 58.0 * shape.ruggedness)
 
 
 def dunes(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
@@ -106,6 +110,57 @@ def dunes(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights
         waves = phase.map(np.cos(skewed), -np.sin(skewed) * (1.0 + np.float32(DUNE_SKEW) * np.cos(phase.height)))
         ground = ground.add(waves, height * shape.ruggedness * resolve(wavelength, spacing))
     return ground
+
+
+def karst(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
+    """Return towers of limestone on a plain with sinkholes, part of which lies below 0."""
+    places = warp(lambda x, y: sum_octaves(x, y, spacing, 310.0, 3, shape.seed, 0.45), x, y, spacing, 170.0, 22.0, shape.seed + WARPS)
+    sizes = sum_octaves(x, y, spacing, 900.0, 2, shape.seed + MORE, 0.5)
+    sizes = sizes.map(0.75 + 0.35 * sizes.height, np.full_like(sizes.height, 0.35))
+    towers = rise(places, 0.2, 0.06).scale(38.0).add(rise(places, 0.42, 0.16), 75.0).multiply(sizes)
+    plain = sum_octaves(x, y, spacing, 420.0, 3, shape.seed + MORE + 4, 0.5).scale(5.5)
+    ground = plain.add(towers, shape.ruggedness)
+    ground = carve_gullies(ground, x, y, spacing, Gullies(90.0, 5, 0.1 * shape.erosion, 0.8, 0.7), shape.seed + GULLIES)
+    sinkholes = sum_octaves(x, y, spacing, 240.0, 3, shape.seed + MORE + 8, 0.35)
+    return ground.add(rise(sinkholes, 0.62, 0.045), -36.0 * shape.ruggedness)
+
+
+def arches(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
+    """Return fins: walls of rock side by side on a plain."""
+    sides = fin_sides(x, y, spacing, shape)
+    walls = rise(sides.map(np.sin(sides.height), np.cos(sides.height)), 0.5, 0.13)
+    tops = sum_octaves(x, y, spacing, 120.0, 3, shape.seed + MORE, 0.5)
+    tall = find_fins(x, y, spacing, shape).multiply(tops.map(1.0 + 0.3 * tops.height, np.full_like(tops.height, 0.3)))
+    plain = find_plain(x, y, spacing, shape)
+    ground = plain.add(walls.multiply(tall), FIN_HEIGHT * shape.ruggedness)
+    ground = carve_gullies(ground, x, y, spacing, Gullies(60.0, 4, 0.06 * shape.erosion, 0.8, 0.7), shape.seed + GULLIES)
+    return _layers(ground, 13.0, 0.45)
+
+
+def find_fins(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
+    """Return where the fins of *Arches* are: from 0 to 1."""
+    return rise(sum_octaves(x, y, spacing, 380.0, 3, shape.seed, 0.5), -0.02, 0.13)
+
+
+def fin_sides(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
+    """Return the phase of waves across the fins of *Arches*, whose crests they are."""
+    warps = sum_octaves(x, y, spacing, 520.0, 3, shape.seed + WARPS, 0.45).scale(FIN_WARP)
+    rate = np.float32(2.0 * np.pi / FIN_DISTANCE)
+    return Heights((rate * x).astype(np.float32) + warps.height, warps.gradient_x + rate, warps.gradient_y)
+
+
+def find_plain(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
+    """Return the plain between the fins of *Arches*."""
+    return sum_octaves(x, y, spacing, 700.0, 3, shape.seed + MORE + 4, 0.45).scale(PLAIN_HEIGHT)
+
+
+def alien(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
+    """Return plains with domes and spires."""
+    ground = warp(lambda x, y: sum_octaves(x, y, spacing, 900.0, 4, shape.seed, 0.42), x, y, spacing, 500.0, 60.0, shape.seed + WARPS)
+    spires = sum_octaves(x, y, spacing, 210.0, 2, shape.seed + MORE, 0.35)
+    ground = ground.scale(32.0).add(rise(spires, 0.66, 0.09), 105.0)
+    ground = ground.scale(shape.ruggedness)
+    return carve_gullies(ground, x, y, spacing, Gullies(130.0, 5, 0.1 * shape.erosion, 0.8, 0.35), shape.seed + GULLIES)
 
 
 def warp(noise: Noise, x: np.ndarray, y: np.ndarray, spacing: float, wavelength: float, distance: float, seed: int) -> Heights:
@@ -124,7 +179,7 @@ def _cut(places: Heights, width: float) -> Heights:
     return places.map(value, -4.0 * t**3 * value / np.float32(width))
 
 
-def _rise(places: Heights, center: float, width: float) -> Heights:
+def rise(places: Heights, center: float, width: float) -> Heights:
     """Return 0 where `places` are far below `center` and 1 far above, with an S-curve between."""
     value = 0.5 + 0.5 * np.tanh((places.height - np.float32(center)) / np.float32(width))
     return places.map(value, np.float32(2.0 / width) * value * (1.0 - value))
@@ -137,7 +192,17 @@ def _layers(ground: Heights, thickness: float, hardness: float) -> Heights:
     return ground.map(step, 1.0 - np.float32(hardness) * np.cos(phase))
 
 
-LANDSCAPES: dict[str, Ground] = {"alps": alps, "hills": hills, "canyon": canyon, "mesas": mesas, "coast": coast, "dunes": dunes}
+LANDSCAPES: dict[str, Ground] = {
+    "alps": alps,
+    "hills": hills,
+    "canyon": canyon,
+    "mesas": mesas,
+    "coast": coast,
+    "dunes": dunes,
+    "karst": karst,
+    "arches": arches,
+    "alien": alien,
+}
 
 
 def read_shape(source: ClipboxSettings) -> Shape:
@@ -146,29 +211,35 @@ def read_shape(source: ClipboxSettings) -> Shape:
 
 
 def find_base(terrain: str, shape: Shape) -> float:
-    """Return the height of a landscape that is at z = 0: that of the sea, or of the ground at x = y = 0."""
+    """Return the height of a landscape that is at z = 0: that of the sea or of its plain, or of the ground at x = y = 0."""
     origin = np.zeros((1, 1))
-    return 0.0 if terrain == "coast" else float(LANDSCAPES[terrain](origin, origin, 1.0, shape).height[0, 0])
+    return 0.0 if terrain in LEVEL_AT_0 else float(LANDSCAPES[terrain](origin, origin, 1.0, shape).height[0, 0])
 
 
-def build_landscape(source: ClipboxSettings) -> DensityFunction:
-    """Build the landscape that the settings name. At x = y = 0, its ground is about at z = 0; the sea of *Coast* is at z = 0."""
+def build_landscape(source: ClipboxSettings, carve: Carving | None) -> DensityFunction:
+    """Build the landscape that the settings name. At x = y = 0, its ground is about at z = 0; the sea of *Coast* is at z = 0.
+
+    carve: adds caves and other shapes that are no heights.
+    """
     ground, shape, scale = LANDSCAPES[source.terrain], read_shape(source), source.scale
     base = np.float32(find_base(source.terrain, shape))
 
-    def densities(grid: Grid) -> np.ndarray:
-        x, y, z = (values / scale for values in grid.coordinates())
-        spacing = grid.voxel_size / scale
+    def densities(scaled: Grid) -> np.ndarray:
+        grid = Grid(scaled.origin, scaled.shape, scaled.voxel_size / scale)
+        x, y, z = grid.coordinates()
         x, y = np.broadcast_arrays(x[:, :, 0], y[:, :, 0])
-        bumps = sum_octaves(x, y, spacing, BUMP_WAVELENGTH, BUMP_OCTAVES, shape.seed + BUMPS)
-        heights = ground(x, y, spacing, shape).add(bumps, BUMP_HEIGHT)
+        bumps = sum_octaves(x, y, grid.voxel_size, BUMP_WAVELENGTH, BUMP_OCTAVES, shape.seed + BUMPS)
+        heights = ground(x, y, grid.voxel_size, shape).add(bumps, BUMP_HEIGHT)
         steepness = heights.steepness
-        across = np.float32(scale) / np.sqrt(1.0 + steepness * steepness)
+        across = np.float32(1.0) / np.sqrt(1.0 + steepness * steepness)
         density = (((heights.height - base)[:, :, None] - z) * across[:, :, None]).astype(np.float32)
         rock = np.clip((steepness - np.float32(ROCK_STEEPNESS)) / np.float32(ROCK_BLEND), 0.0, 1.0)
         if rock.any():
-            ledges = fbm(grid, LEDGE_WAVELENGTH * scale, LEDGE_OCTAVES, shape.seed + LEDGES, squash=1.5)
-            density += ledges * (rock * np.float32(LEDGE_DEPTH * scale))[:, :, None]
-        return density
+            ledges = fbm(grid, LEDGE_WAVELENGTH, LEDGE_OCTAVES, shape.seed + LEDGES, squash=1.5)
+            rock *= np.minimum(np.float32(LEDGE_DEPTH), np.float32(LEDGE_DEPTH * MAX_STEEPNESS) / np.maximum(steepness, np.float32(1.0)))
+            density += ledges * rock[:, :, None]
+        if carve is not None:
+            density = carve(grid, density, shape)
+        return density * np.float32(scale)
 
     return densities

@@ -1,0 +1,102 @@
+"""Shapes of landscapes that are no heights: halls with columns, holes through fins, and roots. Lengths are meters."""
+
+import numpy as np
+
+from .grids import Grid, smooth_minimum
+from .hashing import hash_lattice, uniform_random
+from .height_noise import resolve, sum_octaves
+from .landscapes import PLAIN_HEIGHT, Carving, Shape, fin_sides, find_fins, find_plain, rise
+from .noise import fbm
+
+CAVES = 300  # Added to the seed.
+FLOORS = (24.0, 8.0), (-25.0, 6.0)  # Mean heights of floors of halls, and how far they vary.
+HALL_HEIGHT, COLUMN_DISTANCE, COLUMN_WIDTH = 12.0, 38.0, 16.0  # Half the height where halls are highest; how much of it columns take.
+WALL_ROUGHNESS, WALL_WAVELENGTH = 3.0, 22.0
+HOLE_DISTANCE = 84.0  # Between places for holes along a fin.
+HOLE_FRACTION = 0.7  # Of these places.
+HOLE_FOOT = 0.1  # Height of their centers above the plain, relative to half their height.
+HOLE_MARGIN = 1.0  # Of a fin on both sides of the center of a hole, relative to half its width.
+MIN_FIN, MAX_FIN = 0.05, 0.25  # Heights of a fin there, relative to the highest, at which a hole closes, and from which on it is in full.
+CLOSED = 9.0  # The distance along a fin, relative to half the width of a hole, where there is none.
+HOLE_WIDTHS, HOLE_HEIGHTS = (11.0, 24.0), (16.0, 36.0)  # Half of them, from the smallest to the largest.
+ROOT_WAVELENGTHS, ROOT_RADIUS = (260.0, 230.0), 17.0
+ROOT_STEEPNESS = 92.0  # Meters from a root's axis per unit of its noise.
+EDGE = 3.0  # Rounds off edges.
+
+
+def carve_halls(grid: Grid, density: np.ndarray, shape: Shape) -> np.ndarray:
+    """Carve halls with columns into the ground, on floors one above the other. What voxels cannot resolve is lower, or is left out."""
+    shown = resolve(4.0 * HALL_HEIGHT, grid.voxel_size)
+    if shown == 0.0:
+        return density
+    lower = np.float32(HALL_HEIGHT + 2.0 * HALL_HEIGHT * (1.0 - shown) + 0.5 * grid.voxel_size)
+    for number, (height, change) in enumerate(FLOORS):
+        reach = HALL_HEIGHT + 1.5 * change + 3.0 * WALL_ROUGHNESS
+        layers, part = _layers_between(grid, height - reach, height + reach)
+        if part is None:
+            continue
+        x, y, z = part.coordinates()
+        x, y = np.broadcast_arrays(x[:, :, 0], y[:, :, 0])
+        spacing, seed = grid.voxel_size, shape.seed + CAVES + 20 * number
+        center = sum_octaves(x, y, spacing, 330.0, 2, seed + 4).scale(change)
+        room = rise(sum_octaves(x, y, spacing, 150.0, 2, seed + 8, 0.4), 0.05, 0.25).scale(2.0 * HALL_HEIGHT)
+        room = room.add(rise(sum_octaves(x, y, spacing, COLUMN_DISTANCE, 2, seed + 12, 0.4), 0.5, 0.14), -COLUMN_WIDTH)
+        half = room.height - lower
+        across = 1.0 / np.sqrt(1.0 + room.steepness**2)
+        walls = ((np.abs(z - height - center.height[:, :, None]) - half[:, :, None]) * across[:, :, None]).astype(np.float32)
+        walls += fbm(part, WALL_WAVELENGTH, 3, seed, squash=1.5) * np.float32(WALL_ROUGHNESS)
+        density[:, :, layers] = smooth_minimum(density[:, :, layers], walls, np.float32(EDGE))
+    return density
+
+
+def carve_holes(grid: Grid, density: np.ndarray, shape: Shape) -> np.ndarray:
+    """Carve holes through the fins of *Arches*."""
+    layers, part = _layers_between(grid, -2.0 * PLAIN_HEIGHT, 2.0 * PLAIN_HEIGHT + 1.2 * HOLE_HEIGHTS[1])
+    if part is None:
+        return density
+    x, y, z = part.coordinates()
+    x, y = np.broadcast_arrays(x[:, :, 0], y[:, :, 0])
+    plain, sides = find_plain(x, y, grid.voxel_size, shape).height, fin_sides(x, y, grid.voxel_size, shape).height
+    fins = np.floor(sides / np.float32(2.0 * np.pi) + np.float32(0.25)).astype(np.int64)
+    shifted = y / HOLE_DISTANCE + uniform_random(hash_lattice(fins, np.int64(0), np.int64(0), shape.seed + CAVES), 0)
+    places = np.floor(shifted).astype(np.int64)
+    bits = hash_lattice(fins, places, np.int64(0), shape.seed + CAVES + 1)
+    width, height = (low + (high - low) * uniform_random(bits, index) for index, (low, high) in enumerate((HOLE_WIDTHS, HOLE_HEIGHTS)))
+    margin = HOLE_WIDTHS[1] / HOLE_DISTANCE
+    center = margin + (1.0 - 2.0 * margin) * uniform_random(bits, 2)
+    offset = (shifted - places - center) * HOLE_DISTANCE
+    ends = [find_fins(x, y - offset + side * HOLE_MARGIN * width, grid.voxel_size, shape).height for side in (-1.0, 1.0)]
+    size = np.clip((np.minimum(*ends) - MIN_FIN) / (MAX_FIN - MIN_FIN), 1e-3, 1.0)  # Holes narrow where fins end.
+    width, height = size * width, size * height
+    is_open = (uniform_random(bits, 3) < HOLE_FRACTION) & (np.minimum(width, height) > grid.voxel_size)
+    along = np.where(is_open, offset / width, CLOSED)
+    up = (z - (plain + HOLE_FOOT * height)[:, :, None]) / height[:, :, None]
+    walls = ((np.sqrt(along[:, :, None] ** 2 + up**2) - 1.0) * np.minimum(width, height)[:, :, None]).astype(np.float32)
+    walls += fbm(part, WALL_WAVELENGTH, 3, shape.seed + CAVES, squash=1.5) * np.float32(0.7 * WALL_ROUGHNESS)
+    floor = (plain[:, :, None] - z).astype(np.float32)  # Holes end at the plain.
+    density[:, :, layers] = smooth_minimum(density[:, :, layers], np.maximum(walls, floor), np.float32(EDGE))
+    return density
+
+
+def add_roots(grid: Grid, density: np.ndarray, shape: Shape) -> np.ndarray:
+    """Add roots that wind through the ground and the air."""
+    if grid.voxel_size > ROOT_RADIUS:  # They cannot be resolved.
+        return density
+    first = fbm(grid, ROOT_WAVELENGTHS[0], 2, shape.seed + CAVES, gain=0.3)
+    second = fbm(grid, ROOT_WAVELENGTHS[1], 2, shape.seed + CAVES + 20, gain=0.3, squash=0.8)
+    distance = np.hypot(first, second)
+    _, _, z = grid.coordinates()
+    radius = ROOT_RADIUS * np.clip(1.2 - np.abs(z - 20.0) / 150.0, -1.0, 1.0)  # No root is far above the ground.
+    roots = radius.astype(np.float32) - distance * np.float32(ROOT_STEEPNESS)
+    return -smooth_minimum(-density, -roots, np.float32(2.0 * EDGE))
+
+
+def _layers_between(grid: Grid, low: float, high: float) -> tuple[slice, Grid | None]:
+    """Return the layers of a grid between two heights, and a grid of them, None if there are none."""
+    first, last = np.searchsorted(grid.coordinates_along(2), (low, high)).tolist()
+    if first == last:
+        return slice(0, 0), None
+    return slice(first, last), Grid((*grid.origin[:2], grid.origin[2] + first), (*grid.shape[:2], last - first), grid.voxel_size)
+
+
+CARVINGS: dict[str, Carving] = {"karst": carve_halls, "arches": carve_holes, "alien": add_roots}
