@@ -34,7 +34,7 @@ from lib import command_line
 
 DATA = environment.ROOT.parent / "shared" / "data" / "dem"
 VOID, MAX_VOIDS = -1000.0, 0.1  # Heights below it are unknown; which part of a window may be, and is that of the nearest sample then.
-MIN_RELIEF = 0.06  # Median gradient; less is a plain or the sea.
+MIN_GRADIENT = 0.06  # Median gradient; less is a plain or the sea.
 WINDOW, SPACING = 200, 75.0  # Samples along a side, and meters between them: those of the elevation models along a parallel.
 METERS_PER_DEGREE = 111_320.0
 CHANNEL_AREA = 0.5e6  # Square meters that drain through a cell of a channel.
@@ -83,7 +83,7 @@ def read_windows(path: Path) -> list[np.ndarray]:
             if is_void.mean() > MAX_VOIDS:
                 continue
             part = part[tuple(distance_transform_edt(is_void, return_distances=False, return_indices=True))]
-            if np.median(np.hypot(*np.gradient(part, SPACING))) > MIN_RELIEF:
+            if np.median(np.hypot(*np.gradient(part, SPACING))) > MIN_GRADIENT:
                 x = np.arange(WINDOW) * step_x
                 along = np.stack([np.interp(x, np.arange(part.shape[1]), row) for row in part])
                 y = np.arange(WINDOW) * step_y
@@ -93,8 +93,8 @@ def read_windows(path: Path) -> list[np.ndarray]:
 
 def describe_heights(heights: np.ndarray, spacing: float) -> dict[str, float]:
     """Return the measures of heights (N, N) in meters."""
-    slopes = np.degrees(np.arctan(np.hypot(*np.gradient(heights, spacing))))
-    named = {f"slope_{percent}": float(np.percentile(slopes, percent)) for percent in PERCENTILES}
+    angles = np.degrees(np.arctan(np.hypot(*np.gradient(heights, spacing))))
+    named = {f"slope_{percent}": float(np.percentile(angles, percent)) for percent in PERCENTILES}
     return {"spectral_slope": fit_spectrum(heights), **named, "drainage_km_per_km2": measure_drainage(heights, spacing)}
 
 

@@ -102,7 +102,7 @@ def walk(frames: int, width: int, samples: int, folder: Path) -> list[Path]:
 def landscape(path: Path, width: int, samples: int) -> None:
     """Render one view of mountains."""
     settings = ClipboxSettings(terrain="alps", scale=0.25, seed=5, resolution=192, boxes=8, voxel_size=1.0)
-    _render_view(path, width, samples, settings, np.array([700.0, 520.0, 150.0]), np.array([-160.0, 8.0, 120.0]))
+    _render_view(path, width, samples, settings, np.array([300.0, -400.0, 172.0]), np.array([-160.0, -381.0, 160.0]), scattered="forest")
 
 
 def desert(path: Path, width: int, samples: int) -> None:
@@ -120,7 +120,7 @@ def coast(path: Path, width: int, samples: int) -> None:
 def woods(path: Path, width: int, samples: int) -> None:
     """Render one view of hills with conifers."""
     settings = ClipboxSettings(terrain="hills", seed=3, resolution=128, boxes=7, voxel_size=0.5)
-    _render_view(path, width, samples, settings, np.array([100.0, 50.0, 14.0]), np.array([-200.0, 250.0, 8.0]), scattered="forest")
+    _render_view(path, width, samples, settings, np.array([300.0, 300.0, 26.6]), np.array([-200.0, 320.0, 11.6]), scattered="forest")
 
 
 def steppe(path: Path, width: int, samples: int) -> None:
