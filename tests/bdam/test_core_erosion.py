@@ -51,7 +51,17 @@ def read_files(folder):
 def test_water_on_a_plane_flows_straight_down():
     plane = np.tile(np.arange(12, dtype=np.float32), (5, 1))
     areas = find_drainage(plane, 1).accumulate().reshape(plane.shape)
-    assert (areas == 12 - np.arange(12)).all()
+    assert (areas[:, 1:] == 12 - np.arange(1, 12)).all()
+    assert areas[:, 0].max() == plane.size  # The lowest edge is one flat with one outlet.
+
+
+def test_a_lake_is_one_basin_however_many_samples_it_has():
+    lake = np.full((40, 50), 3.0, np.float32)
+    lake[5:-5, 5:-5] = 1.0
+    lake[20, :5] = 2.0
+    drainage = find_drainage(lake, 1)
+    assert drainage.accumulate()[20 * 50] == lake.size
+    assert (np.diff(drainage.starts) > 0).all() and len(drainage.starts) < 100  # Flow crosses it on short paths.
 
 
 def test_all_water_of_a_bowl_leaves_through_its_lowest_border_sample():

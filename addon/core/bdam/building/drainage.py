@@ -48,6 +48,7 @@ class Drainage:
 def find_drainage(heights: np.ndarray, seed: int) -> Drainage:
     """Return the drainage of a grid (H, W). seed: of the random lengths."""
     receivers = find_receivers(heights, draw_lengths((0, 0), heights.shape, seed))
+    _cross_flats(heights, receivers)
     _route_over_passes(heights, receivers)
     depths, _ = _follow(receivers)
     order = np.argsort(depths, kind="stable").astype(np.int32)
@@ -112,6 +113,44 @@ def _follow(receivers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         ends = further
 
 
+def _cross_flats(heights: np.ndarray, receivers: np.ndarray) -> None:
+    """Change receivers (N,) in place so that water crosses flats, each sample of which would be a basin otherwise: to where their rim is
+    lower, or else to their first sample on the border of the known ones, or else to their first sample."""
+    is_known = ~np.isnan(heights)
+    is_open = (receivers == np.arange(len(receivers))).reshape(heights.shape) & is_known
+    is_near = ndimage.binary_dilation(is_open, np.ones((3, 3), bool))
+    _flood_flats(heights, receivers, is_open, np.flatnonzero(is_known & is_near & ~is_open))
+    labels, _ = ndimage.label(is_open, np.ones((3, 3), bool))
+    for candidates in (_find_border(is_known), is_known):
+        positions = np.flatnonzero(candidates & is_open)
+        first = positions[np.unique(labels.reshape(-1)[positions], return_index=True)[1]]
+        is_open.reshape(-1)[first] = False
+        _flood_flats(heights, receivers, is_open, first)
+
+
+def _flood_flats(heights: np.ndarray, receivers: np.ndarray, is_open: np.ndarray, front: np.ndarray) -> None:
+    """Let open samples (H, W) flow to neighbors of the same height that are not open, beginning with `front` (F,). Both arrays change."""
+    rows, columns = heights.shape
+    flat, is_open = heights.reshape(-1), is_open.reshape(-1)
+    while len(front):
+        reached = []
+        for row, column in OFFSETS:
+            y, x = front // columns + row, front % columns + column
+            members = np.flatnonzero((y >= 0) & (y < rows) & (x >= 0) & (x < columns))
+            neighbors = (y * columns + x)[members]
+            is_next = is_open[neighbors] & (flat[neighbors] == flat[front[members]])
+            neighbors = neighbors[is_next]
+            receivers[neighbors] = front[members[is_next]]
+            is_open[neighbors] = False
+            reached.append(neighbors)
+        front = np.concatenate(reached)
+
+
+def _find_border(is_known: np.ndarray) -> np.ndarray:
+    """Return a mask (H, W) of known samples next to unknown ones or to the border of the grid."""
+    return is_known & ~ndimage.binary_erosion(is_known, np.ones((3, 3), bool))
+
+
 def _route_over_passes(heights: np.ndarray, receivers: np.ndarray) -> None:
     """Change receivers (N,) in place so that all basins drain to the border of the known samples over their lowest passes."""
     ends = _follow(receivers)[1]
@@ -144,7 +183,7 @@ def _find_passes(heights: np.ndarray, basins: np.ndarray, is_known: np.ndarray) 
     """Return positions (P,) of neighbors in different basins; for samples on the border of the known ones, twice their own."""
     positions = np.arange(heights.size, dtype=np.int32).reshape(heights.shape)
     by_sample = basins.reshape(heights.shape)
-    border = positions[is_known & ~ndimage.binary_erosion(is_known, np.ones((3, 3), bool))]
+    border = positions[_find_border(is_known)]
     own, others = [border], [border]
     for row, column in PAIRS:
         first, second = pair_windows(heights.shape, row, column)

@@ -115,10 +115,14 @@ def _erode_complete(heights: np.ndarray, number: int, repose: float, rate: float
 def _erode_bands(
     level: Level, coarser: tuple[Level, Level], number: int, repose: float, rate: float
 ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-    """Yield rows of a level, how their heights change, and their areas; see `_erode_complete`. coarser: the same of the coarser level."""
+    """Yield rows of a level, how their heights change, and their areas; see `_erode_complete`. coarser: the same of the coarser level.
+
+    The arrays are valid until the next ones are asked for.
+    """
+    buffers = np.empty((2, min(TILE, level.rows), level.columns), np.float32)
     for top in range(0, level.rows, TILE):
         rows = slice(top, min(top + TILE, level.rows))
-        changes, areas = (np.empty((rows.stop - top, level.columns), np.float32) for _ in range(2))
+        changes, areas = buffers[:, : rows.stop - top]
         for left in range(0, level.columns, TILE):
             columns = slice(left, min(left + TILE, level.columns))
             window = tuple(
