@@ -37,7 +37,7 @@ TILE = 768  # samples along the side of a tile, even
 BAND_SAMPLES = 1 << 20
 RATE = 0.3  # See `erosion_steps.erode`; for a strength of 1.
 REPOSE_GRADIENT = 0.8  # Rock rests at up to 39 degrees.
-MAX_BEND = 1.2  # samples by which the changes of a coarser level are moved
+MAX_SHIFT = 1.2  # samples by which the changes of a coarser level are moved
 REDUCE_END, COMPLETE_END = 0.1, 0.2  # progress at which all levels are reduced, and at which the coarse ones are eroded
 
 
@@ -108,15 +108,15 @@ def _erode_complete(heights: np.ndarray, number: int, repose: float, rate: float
     for index in range(len(pyramid) - 1, -1, -1):
         raw = pyramid.pop()
         window = slice(0, raw.shape[0]), slice(0, raw.shape[1])
-        begun = raw if changes is None else raw + _bend(_expand_changes(array_level(changes), *window), number + index)
+        begun = raw if changes is None else raw + _displace(_expand_changes(array_level(changes), *window), number + index)
         eroded, areas = erode(begun, repose * 2.0 ** (number + index), rate, number + index)
         changes = eroded - raw
         yield Progress(REDUCE_END + (COMPLETE_END - REDUCE_END) * 0.25**index, "Eroding")
     return changes, areas
 
 
-def _bend(changes: np.ndarray, seed: int) -> np.ndarray:
-    """Return the changes (H, W) of a level, moved by up to MAX_BEND samples, differently in every place.
+def _displace(changes: np.ndarray, seed: int) -> np.ndarray:
+    """Return the changes (H, W) of a level, moved by up to MAX_SHIFT samples, differently in every place.
 
     Rivers of a coarse level run along the rows, columns and diagonals of its grid, which would show in finer levels as straight valleys.
     """
@@ -126,7 +126,7 @@ def _bend(changes: np.ndarray, seed: int) -> np.ndarray:
     positions = np.mgrid[window].astype(np.float32)
     for axis in range(2):
         moves = (2.0 * draw_lengths((0, 0), coarse_shape, ~(2 * seed + axis)) - 3.0).astype(np.float32)
-        positions[axis] += np.float32(MAX_BEND) * expand_level(array_level(moves), *window)
+        positions[axis] += np.float32(MAX_SHIFT) * expand_level(array_level(moves), *window)
     return ndimage.map_coordinates(changes, positions, order=1, mode="nearest")
 
 
