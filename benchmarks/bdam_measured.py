@@ -23,6 +23,9 @@ from bdam_stores import cpu_seconds
 from bdam_terrains import CELL_SIZE, FractalTerrain
 from bdam_views import fly_over
 
+from farfield.addon.core.bdam.building.erosion import erode_heights
+from farfield.addon.core.bdam.building.height_grid import HeightGrid
+from farfield.addon.core.bdam.building.heights import choose_height_step, write_heights
 from farfield.addon.core.bdam.building.terrain_build import build_terrain
 from farfield.addon.core.bdam.fields.terrain_field import FieldSettings, open_field
 from farfield.addon.core.bdam.settings import BdamSettings
@@ -124,7 +127,17 @@ def render(given: Namespace) -> dict[str, Any]:
     return render_view(given.path, given.out, given.tolerance, FractalTerrain(given.size, given.seed), given.render_seed, given.normal_maps)
 
 
-WORK = {"build": build, "fly": fly, "render": render}
+def erode(given: Namespace) -> dict[str, Any]:
+    """Erode an elevation model. The heights before and after are files next to `given.out`."""
+    terrain = open_field([given.path], FieldSettings(cell_size=CELL_SIZE))
+    source, height_step = HeightGrid(given.out.with_suffix(".source"), *terrain.shape), choose_height_step(terrain, 0.0, is_eroded=True)
+    run_to_end(write_heights(terrain, source.path, height_step))
+    started, cpu = time.perf_counter(), cpu_seconds()
+    run_to_end(erode_heights(source, given.out, CELL_SIZE / height_step, 1.0))
+    return {"erosion_seconds": round(time.perf_counter() - started, 2), "erosion_cpu_seconds": round(cpu_seconds() - cpu, 2)}
+
+
+WORK = {"build": build, "erode": erode, "fly": fly, "render": render}
 
 if __name__ == "__main__":
     command_line.run(main)

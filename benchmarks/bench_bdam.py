@@ -4,7 +4,8 @@ Prints JSON. Parts (`--only`): `simplifiers` (vertices at equal measured error: 
 and right-triangulated meshes), `simplifier_alone` (against pydelatin), `uniform_cut` and `view_cut` (against pydelatin and pymartini),
 `build` (time, memory and growth), `disk`, `extraction` (200 frames of a fly-over), `cracks`, `screen_error`, `seams` (of textures), `kill`
 (kill -9 and resume), `flip` (flipped bytes are found), `geographic` (vertical distances in the local frame of a grid of degrees),
-`full_grid` (the same terrain as a full grid in Cycles: time, memory and FLIP).
+`full_grid` (the same terrain as a full grid in Cycles: time, memory and FLIP), `erosion` (time, memory, and measures of eroded and real
+ground).
 Each run draws other terrains and views; --seed repeats one. Settings may be tuned on `--set tuning`, so that nothing is concluded from it.
 Vertical errors of all methods are measured by the same rasterizer. pydelatin, pymartini and FLIP are reference tools, see
 scripts/reference_tools.py.
@@ -28,6 +29,7 @@ environment.import_farfield()
 import benchmark_cli
 from bdam_builds import measure_build, measure_disk, measure_extraction, measure_kills
 from bdam_checks import measure_cracks, measure_screen_error
+from bdam_erosion import measure_erosion
 from bdam_flips import measure_flips
 from bdam_geographic import measure_geographic
 from bdam_renders import measure_full_grid
@@ -55,6 +57,7 @@ PARTS = {
     "flip": measure_flips,
     "geographic": measure_geographic,
     "full_grid": measure_full_grid,
+    "erosion": measure_erosion,
 }
 
 

@@ -46,6 +46,12 @@ class BdamSettings(Settings):
     image_height: float = in_options(100.0, "Meters between black and white of a source that is an image", minimum=1e-3, maximum=1e6)
     allow_gaps: bool = setting(False, "Accept several sources that do not fill their common rectangle; the gaps become holes")
     fill_holes: str = setting("small", "Which voids, areas without known heights, are filled smoothly from their rims", choices=VOIDS)
+    erosion: float = setting(
+        0.0,
+        "How deeply rivers cut valleys into heights that are fractal, smooth or enlarged. 0 for no erosion, 1 for natural valleys",
+        minimum=0.0,
+        maximum=5.0,
+    )
     texture_format: str = in_options("jpeg", "How texture tiles are coded", choices=TEXTURE_FORMATS)
     texture_quality: int = in_options(
         0,

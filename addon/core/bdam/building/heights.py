@@ -11,8 +11,6 @@ the result does not depend on the bands.
 """
 
 import math
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +21,8 @@ from ...files.file_access import convert_os_errors
 from ...files.sealed_files import read_sealed, write_sealed
 from ...jobs.progress import Progress, Steps
 from ..fields.terrain_field import TerrainField
-from .height_grid import HeightGrid, encode_heights, read_window, split_rows
+from .height_grid import HeightGrid, encode_heights, split_rows
+from .height_levels import Level, delete_levels, expand_level, finest_level, level_path, reduce_level, write_level
 from .work_folder import ADVICE
 
 MAX_STEPS = 2**29  # stored heights lie between minus and plus this many steps
@@ -34,15 +33,19 @@ BAND_SAMPLES = 1 << 20
 SOLVE_START = 0.2  # progress at which all levels are reduced
 
 
-def choose_height_step(field: TerrainField, wanted: float) -> float:
-    """Return the meters between two stored heights: `wanted` if positive, otherwise that of the source or a round fraction of a cell."""
+def choose_height_step(field: TerrainField, wanted: float, is_eroded: bool) -> float:
+    """Return the meters between two stored heights: `wanted` if positive, otherwise that of the source or a round fraction of a cell.
+
+    is_eroded: whether heights are changed, so that a coarse step of the source would show as terraces.
+    """
     if wanted > 0.0:
         return wanted
-    if field.height_step is not None:
-        return field.height_step
     step = field.cell_size / STEPS_PER_CELL
     magnitude = 10.0 ** math.floor(math.log10(step))
-    return max(factor * magnitude for factor in (1.0, 2.0, 5.0) if factor * magnitude <= step * (1.0 + 1e-9))
+    fine = max(factor * magnitude for factor in (1.0, 2.0, 5.0) if factor * magnitude <= step * (1.0 + 1e-9))
+    if field.height_step is None:
+        return fine
+    return min(field.height_step, fine) if is_eroded else field.height_step
 
 
 def write_heights(field: TerrainField, path: Path, height_step: float) -> Steps[int]:
@@ -94,20 +97,6 @@ def _interpolate_rows(heights: np.ndarray, is_known: np.ndarray, previous: np.nd
     return previous.copy()
 
 
-@dataclass(frozen=True)
-class _Level:
-    """Heights (rows, columns) float32 in steps, NaN where unknown. read: returns those of some rows."""
-
-    rows: int
-    columns: int
-    read: Callable[[slice], np.ndarray]
-
-    def bands(self) -> list[slice]:
-        """Return bands of rows, with an even number of rows except for the last one."""
-        size = max(BAND_SAMPLES // self.columns // 2 * 2, 2)
-        return [slice(start, min(start + size, self.rows)) for start in range(0, self.rows, size)]
-
-
 def fill_holes(grid: HeightGrid) -> Steps[None]:
     """Make all heights of a grid known. At least one must be known. If it is interrupted, it can be started again.
 
@@ -115,58 +104,26 @@ def fill_holes(grid: HeightGrid) -> Steps[None]:
         FileError: a file cannot be read or written.
     """
     with convert_os_errors(f'The holes of "{grid.path}" cannot be filled'):
-        levels = [_Level(grid.rows, grid.columns, lambda rows: _read_heights(grid, rows))]
-        while any(np.isnan(levels[-1].read(band)).any() for band in levels[-1].bands()):
-            levels.append(_reduce(levels[-1], _level_path(grid, len(levels), "known")))
+        levels = [finest_level(grid)]
+        while any(np.isnan(levels[-1].read_rows(band)).any() for band in levels[-1].bands(BAND_SAMPLES)):
+            levels.append(reduce_level(levels[-1], level_path(grid, len(levels), "known"), BAND_SAMPLES))
             yield Progress(SOLVE_START * (1.0 - 0.25 ** len(levels)), "Filling holes")
         solved = levels[-1]
         for number in range(len(levels) - 2, 0, -1):
             level, coarser = levels[number], solved
-            bands = (_solve_band(level, coarser, band) for band in level.bands())
-            solved = _write_level(_level_path(grid, number, "filled"), level.rows, level.columns, bands)
+            bands = (_solve_band(level, coarser, band) for band in level.bands(BAND_SAMPLES))
+            solved = write_level(level_path(grid, number, "filled"), level.rows, level.columns, bands)
             yield Progress(SOLVE_START + (1.0 - SOLVE_START) * 0.25**number, "Filling holes")
         if len(levels) > 1:
             yield from _fill_samples(grid, levels[0], solved)
-        for path in grid.path.parent.glob(f"{grid.path.stem}-*-level.raw"):
-            path.unlink()
+        delete_levels(grid)
 
 
-def _read_heights(grid: HeightGrid, rows: slice) -> np.ndarray:
-    steps, is_known = grid.read(rows, slice(0, grid.columns))
-    return np.where(is_known, steps, np.nan).astype(np.float32)
-
-
-def _level_path(grid: HeightGrid, number: int, kind: str) -> Path:
-    return grid.path.with_name(f"{grid.path.stem}-{kind}-{number:02d}-level.raw")
-
-
-def _write_level(path: Path, rows: int, columns: int, bands: Iterable[np.ndarray]) -> _Level:
-    """Write the heights of bands to a file, and return the level that reads them."""
-    with path.open("wb") as file:
-        for heights in bands:
-            heights.astype(np.float32).tofile(file)
-    return _Level(rows, columns, lambda rows: read_window(path, np.dtype(np.float32), columns, rows, slice(0, columns)))
-
-
-def _reduce(level: _Level, path: Path) -> _Level:
-    """Write the means of the known heights of 2 x 2 samples."""
-    bands = (_reduce_band(level.read(band)) for band in level.bands())
-    return _write_level(path, (level.rows + 1) // 2, (level.columns + 1) // 2, bands)
-
-
-def _reduce_band(heights: np.ndarray) -> np.ndarray:
-    heights = np.pad(heights, [(0, count % 2) for count in heights.shape], constant_values=np.nan)
-    blocks = heights.reshape(heights.shape[0] // 2, 2, -1, 2).transpose(0, 2, 1, 3).reshape(heights.shape[0] // 2, -1, 4)
-    counts = np.isfinite(blocks).sum(axis=2)
-    sums = np.where(np.isfinite(blocks), blocks, 0.0).sum(axis=2)
-    return np.divide(sums, counts, out=np.full(sums.shape, np.nan, np.float32), where=counts > 0)
-
-
-def _fill_samples(grid: HeightGrid, level: _Level, coarser: _Level) -> Steps[None]:
+def _fill_samples(grid: HeightGrid, level: Level, coarser: Level) -> Steps[None]:
     """Replace the file of a grid by one whose unknown heights are filled."""
     temporary = grid.path.with_name(grid.path.name + TEMPORARY_SUFFIX)
     with temporary.open("wb") as file:
-        for band in level.bands():
+        for band in level.bands(BAND_SAMPLES):
             yield Progress(SOLVE_START + (1.0 - SOLVE_START) * (0.25 + 0.75 * band.start / grid.rows), "Filling holes")
             steps, is_known = grid.read(band, slice(0, grid.columns))
             if not is_known.all():
@@ -176,15 +133,15 @@ def _fill_samples(grid: HeightGrid, level: _Level, coarser: _Level) -> Steps[Non
     temporary.replace(grid.path)
 
 
-def _solve_band(level: _Level, coarser: _Level, band: slice) -> np.ndarray:
+def _solve_band(level: Level, coarser: Level, band: slice) -> np.ndarray:
     """Return the heights (h, columns) of a band with its unknown heights filled."""
     rows = slice(max(band.start - RELAXATIONS, 0), min(band.stop + RELAXATIONS, level.rows))
-    heights = level.read(rows)
+    heights = level.read_rows(rows)
     is_unknown = np.isnan(heights)
     inner = slice(band.start - rows.start, band.stop - rows.start)
     if not is_unknown[inner].any():
         return heights[inner]
-    heights = np.where(is_unknown, _expand(coarser, rows, level.columns), heights)
+    heights = np.where(is_unknown, expand_level(coarser, rows, slice(0, level.columns)), heights)
     padded = np.pad(heights, 1, mode="edge")
     for _ in range(RELAXATIONS):
         center = padded[1:-1, 1:-1]
@@ -195,19 +152,3 @@ def _solve_band(level: _Level, coarser: _Level, band: slice) -> np.ndarray:
         np.copyto(center, means, where=is_unknown)
         padded[0], padded[-1], padded[:, 0], padded[:, -1] = padded[1], padded[-2], padded[:, 1], padded[:, -2]
     return padded[1:-1, 1:-1][inner]
-
-
-def _expand(coarser: _Level, rows: slice, columns: int) -> np.ndarray:
-    """Return the bilinear interpolation (h, columns) float32 of the coarser level at rows of the finer one."""
-    low, high = max(min((rows.start - 1) // 2, coarser.rows - 2), 0), min(rows.stop // 2 + 1, coarser.rows)
-    values = coarser.read(slice(low, high))
-    for axis, positions, first, count in (
-        (0, np.arange(rows.start, rows.stop), low, coarser.rows),
-        (1, np.arange(columns), 0, coarser.columns),
-    ):
-        centers = np.clip((positions - 0.5) / 2.0, 0.0, count - 1.0)
-        start = np.minimum(centers.astype(np.int64), max(count - 2, 0))
-        weights = (centers - start).astype(np.float32).reshape((-1, 1) if axis == 0 else (1, -1))
-        end = np.minimum(start + 1, count - 1)
-        values = np.take(values, start - first, axis) * (1.0 - weights) + np.take(values, end - first, axis) * weights
-    return values

@@ -5,7 +5,7 @@ import json
 import shutil
 from collections.abc import Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from ...errors import FarfieldError, FileError
@@ -23,22 +23,27 @@ from ..fields.terrain_field import TerrainField
 from ..settings import BdamSettings
 from ..store.structure import Level, StoreHeader
 from ..store.terrain_store import TEXTURE_FOLDER
+from .erosion import erode_heights
 from .finish import write_geometry
+from .height_grid import HeightGrid
 from .heights import choose_height_step, fill_holes, write_heights
 from .store_target import check_target, delete_work_folder, recover_store, replace_store, work_folder_path
 from .texture_stage import TextureWork, build_texture_tiles, decode_images, has_normal_maps, plan_maps, write_texture_store
 from .voids import VoidCounts, count_voids, fill_small_voids
-from .work_folder import ADVICE, HEIGHTS_FILE, PARAMETERS_FILE, BuildParameters, LevelLayout, WorkFolder
+from .work_folder import ADVICE, PARAMETERS_FILE, BuildParameters, LevelLayout, WorkFolder
 
 TASKS_MODULE = "addon.core.bdam.building.tasks"
 FORMAT_VERSION = 6  # version of the files in a work folder
 VOIDS_FILE = "heights.voids"  # the counts of voids
 FILLED_FILE = "heights.filled"  # marks that voids were filled
+SOURCE_HEIGHTS_FILE = "source-heights.raw"  # the heights before erosion
 DIAMONDS_PER_SHARD = {16: 96, 32: 24, 64: 6}  # by cells of a leaf: as many samples; workers need up to 240 MB
 GRADIENT_STEP = 1.0 / 64.0  # meters of height per meter
 READ_END, FINISH_START = 0.05, 0.95  # progress at which heights are read, and at which the store is written
+EROSION_END = 0.25  # progress at which heights are eroded, if they are
 TEXEL_COST = 0.05  # seconds of a texel relative to those of a sample, for the progress
 HEIGHT_BYTES = 4.0  # per sample, in the work folder
+EROSION_BYTES = 8.0  # per sample, in the work folder: the heights before erosion, and three files of every coarser level
 GEOMETRY_BYTES = 16.0  # per sample: patches of two levels, coded patches, and their copy in the store
 # Per texel of the finest level: tiles, their copy in the store, pieces of one level.
 TEXEL_BYTES = {"jpeg": 2.5, "webp": 2.5, "raw": 11.0, "lossless": 4.5}
@@ -109,7 +114,7 @@ def build_terrain(
     header = _create_header(field, settings, has_texture=bool(images))
     maps = plan_maps(field, header.tree, images, settings)
     folder = work_folder_path(out)
-    _check_free_space(out, _estimate_bytes(header, maps), folder)
+    _check_free_space(out, _estimate_bytes(header, maps, settings.erosion > 0.0), folder)
     leaf_cells = header.leaf_cells
     curvature = header.create_frame().measure_curvature((header.rows, header.columns))
     parameters = BuildParameters(header.rows, header.columns, leaf_cells, header.gradient_step, DIAMONDS_PER_SHARD[leaf_cells], curvature)
@@ -121,10 +126,15 @@ def build_terrain(
         write_sealed(folder / PARAMETERS_FILE, work.parameters_content)
         with clock.stage("heights"):
             holes, voids = yield from subprogress(_read_sources(field, work, header, settings, maps), 0.0, READ_END)
+        start = READ_END
+        if settings.erosion > 0.0:
+            with clock.stage("erosion"):
+                yield from subprogress(_erode(work, header, settings.erosion), READ_END, EROSION_END)
+            start = EROSION_END
         with executor.open_task_pool(TASKS_MODULE, [str(folder)], held, "parts") as pool:
-            start, fractions = READ_END, _map_fractions(header, maps)
+            heights_end, fractions = start, _map_fractions(header, maps)
             for textures, fraction in zip(maps, fractions, strict=True):
-                end = start + (FINISH_START - READ_END) * fraction
+                end = start + (FINISH_START - heights_end) * fraction
                 with clock.stage(textures.name):
                     yield from subprogress(build_texture_tiles(textures, header, work, pool, voids.left > 0), start, end)
                 start = end
@@ -147,9 +157,9 @@ def _read_sources(
 
     A source that cannot be read leaves no work folder behind, since nothing in it is of use.
     """
-    path = work.path / HEIGHTS_FILE
+    grid = replace(work.grid, path=work.path / SOURCE_HEIGHTS_FILE) if settings.erosion > 0.0 else work.grid
     try:
-        holes = yield from subprogress(write_heights(field, path, header.height_step), 0.0, 0.6)
+        holes = yield from subprogress(write_heights(field, grid.path, header.height_step), 0.0, 0.6)
         for textures in maps:
             yield from subprogress(decode_images(textures, work), 0.6, 0.8)
     except FarfieldError:
@@ -157,32 +167,41 @@ def _read_sources(
         raise
     voids = VoidCounts()
     if holes:
-        voids = yield from subprogress(_fill_voids(work, settings.fill_holes), 0.8, 1.0)
+        voids = yield from subprogress(_fill_voids(grid, settings.fill_holes), 0.8, 1.0)
     return holes, voids
 
 
-def _fill_voids(work: WorkFolder, which: str) -> Steps[VoidCounts]:
+def _fill_voids(grid: HeightGrid, which: str) -> Steps[VoidCounts]:
     """Fill voids, unless that was done before. which: see `settings.VOIDS`."""
-    path, filled = work.path / VOIDS_FILE, work.path / FILLED_FILE
+    path, filled = grid.path.with_name(VOIDS_FILE), grid.path.with_name(FILLED_FILE)
     if not filled.exists():
-        temporary = work.grid.path.with_name(work.grid.path.name + TEMPORARY_SUFFIX)
-        steps = count_voids(work.grid) if which == "none" else fill_small_voids(work.grid, temporary)
+        temporary = grid.path.with_name(grid.path.name + TEMPORARY_SUFFIX)
+        steps = count_voids(grid) if which == "none" else fill_small_voids(grid, temporary)
         counts = yield from subprogress(steps, 0.0, 0.5)
         if not path.exists():  # Nothing is left to count once the file has replaced the grid.
             write_sealed(path, json.dumps(asdict(counts)).encode())
         if which != "none":
             with convert_os_errors(f'"{temporary}" cannot be renamed'):
-                temporary.replace(work.grid.path)
+                temporary.replace(grid.path)
         if which == "all":
-            yield from subprogress(fill_holes(work.grid), 0.5, 1.0)
+            yield from subprogress(fill_holes(grid), 0.5, 1.0)
         write_sealed(filled, b"")
     counts = VoidCounts(**json.loads(read_sealed(path, ADVICE)))
     return counts.all_filled() if which == "all" else counts
 
 
-def _estimate_bytes(header: StoreHeader, maps: Sequence[TextureWork]) -> int:
+def _erode(work: WorkFolder, header: StoreHeader, strength: float) -> Steps[None]:
+    """Erode the heights, unless that was done before. The heights before erosion stay until then, so that nothing is eroded twice."""
+    source = work.path / SOURCE_HEIGHTS_FILE
+    if not work.grid.path.exists():
+        yield from erode_heights(replace(work.grid, path=source), work.grid.path, header.cell_size / header.height_step, strength)
+    with convert_os_errors(f'"{source}" cannot be deleted'):
+        source.unlink(missing_ok=True)
+
+
+def _estimate_bytes(header: StoreHeader, maps: Sequence[TextureWork], has_erosion: bool) -> int:
     """Return about how many bytes the work folder and the store of a build take together at most."""
-    needed = header.rows * header.columns * (HEIGHT_BYTES + GEOMETRY_BYTES)
+    needed = header.rows * header.columns * (HEIGHT_BYTES + GEOMETRY_BYTES + has_erosion * EROSION_BYTES)
     for textures in maps:
         needed += textures.texels * TEXEL_BYTES[textures.plan.image_format] + sum(image.raw_bytes for image in textures.images)
     return int(needed)
@@ -225,7 +244,7 @@ def _create_report(
 
 def _create_header(field: TerrainField, settings: BdamSettings, has_texture: bool) -> StoreHeader:
     rows, columns = field.shape
-    height_step = choose_height_step(field, settings.height_step)
+    height_step = choose_height_step(field, settings.height_step, settings.erosion > 0.0)
     kind = "geographic" if isinstance(field.frame, GeographicFrame) else "projected"
     return StoreHeader(
         rows,
@@ -248,7 +267,7 @@ def _fingerprint(header: StoreHeader, files: Sequence[Path], maps: Sequence[Text
     with convert_os_errors("A source cannot be read"):
         described = [(str(path.resolve()), path.stat().st_size, path.stat().st_mtime_ns) for path in files]
     planned = [asdict(textures) for textures in maps]
-    content = json.dumps([FORMAT_VERSION, asdict(header), described, planned, settings.fill_holes], sort_keys=True)
+    content = json.dumps([FORMAT_VERSION, asdict(header), described, planned, settings.fill_holes, settings.erosion], sort_keys=True)
     return hashlib.sha256(content.encode("utf-8", "surrogatepass")).hexdigest()
 
 
