@@ -38,7 +38,11 @@ BENCHMARKS = {
     "unwrap": {"bench_unwrap.py": "--only hard_surfaces"},
     "restore": {"bench_restore.py": "--quick --textures canvas marble twill --masks blob"},
     "photos": {"bench_photos.py": "--only synthetic --set tuning --size 256"},
-    "clipbox": {"bench_clipbox.py": "--only extraction --repeats 1", "bench_clipbox_images.py": "--only uniform"},
+    "clipbox": {
+        "bench_clipbox.py": "--only extraction --repeats 1",
+        "bench_clipbox_images.py": "--only uniform",
+        "bench_landscapes.py": "--only shape",
+    },
     "bdam": {"bench_bdam.py": "--only simplifier_alone --set tuning --size 257"},
     "texmesh": {"bench_texmesh.py": "--only refits --models spot"},
     "packages": {"bench_packages.py": "--only meshes --models spot"},
