@@ -75,10 +75,10 @@ def conifer(seed: int, detail: float) -> Model:
     """Return a spruce whose branches are fans of needles. detail: 1 for trees nearby, less for fewer and wider needles."""
     random = np.random.default_rng([seed, 3])
     trunk_points = np.linspace([0.0, 0.0, -0.3], [0.0, 0.0, CONIFER_HEIGHT], 7)[None]
-    trunk = _tubes(trunk_points, TRUNK_RADIUS, TRUNK_SIDES)
+    trunk = _tubes(trunk_points, TRUNK_RADIUS, TRUNK_SIDES, 0.04)
     whorls, per_whorl = round(34 * max(detail, 0.35) ** 0.5), 7
-    heights = np.repeat(np.linspace(0.06, 0.97, whorls) ** 1.1, per_whorl) * CONIFER_HEIGHT
-    heights += random.normal(0.0, 0.12, len(heights))
+    heights = np.repeat(np.linspace(0.06, 1.0, whorls) ** 1.1, per_whorl) * CONIFER_HEIGHT
+    heights = np.minimum(heights + random.normal(0.0, 0.12, len(heights)), CONIFER_HEIGHT)
     reach = 0.23 * (CONIFER_HEIGHT - heights) * random.uniform(0.7, 1.12, len(heights)) + 0.18
     angles = np.tile(np.arange(per_whorl), whorls) * (2.0 * np.pi / per_whorl) + np.repeat(random.uniform(0.0, 6.3, whorls), per_whorl)
     outward = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))])
@@ -178,8 +178,8 @@ def _leaves(
     return _repeat(positions, np.array([(0, 1, 2), (0, 2, 3)]), shades[:, None])
 
 
-def _tubes(points: np.ndarray, radius: float, sides: int) -> Model:
-    """Return tubes around polylines (N, P, 3), which taper from a radius to a quarter of it."""
+def _tubes(points: np.ndarray, radius: float, sides: int, taper: float = 0.25) -> Model:
+    """Return tubes around polylines (N, P, 3), which taper from a radius to a fraction of it."""
     count, rings = points.shape[:2]
     axes = points[:, -1] - points[:, 0]
     first = np.cross(axes, np.eye(3)[np.abs(axes).argmin(axis=1)])
@@ -188,7 +188,7 @@ def _tubes(points: np.ndarray, radius: float, sides: int) -> Model:
     second /= np.maximum(np.linalg.norm(second, axis=1, keepdims=True), 1e-9)
     angles = 2.0 * np.pi * np.arange(sides) / sides
     circle = np.cos(angles)[:, None] * first[:, None] + np.sin(angles)[:, None] * second[:, None]
-    radii = radius * np.linspace(1.0, 0.25, rings)
+    radii = radius * np.linspace(1.0, taper, rings)
     vertices = points[:, :, None] + radii[:, None, None] * circle[:, None]
     side = np.arange(sides)
     ring = np.stack([side, (side + 1) % sides, (side + 1) % sides + sides, side + sides], axis=1)
