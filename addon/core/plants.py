@@ -77,9 +77,11 @@ def conifer(seed: int, detail: float) -> Model:
     trunk_points = np.linspace([0.0, 0.0, -0.3], [0.0, 0.0, CONIFER_HEIGHT], 7)[None]
     trunk = _tubes(trunk_points, TRUNK_RADIUS, TRUNK_SIDES, 0.04)
     whorls, per_whorl = round(34 * max(detail, 0.35) ** 0.5), 7
-    heights = np.repeat(np.linspace(0.06, 1.0, whorls) ** 1.1, per_whorl) * CONIFER_HEIGHT
+    heights = np.repeat(np.linspace(0.06, 0.985, whorls) ** 1.1, per_whorl) * CONIFER_HEIGHT
     heights = np.minimum(heights + random.normal(0.0, 0.12, len(heights)), CONIFER_HEIGHT)
-    reach = 0.23 * (CONIFER_HEIGHT - heights) * random.uniform(0.7, 1.12, len(heights)) + 0.18
+    reach = 0.23 * (CONIFER_HEIGHT - heights) * random.uniform(0.7, 1.12, len(heights)) + np.clip(
+        0.09 * (CONIFER_HEIGHT - heights), 0.03, 0.18
+    )
     angles = np.tile(np.arange(per_whorl), whorls) * (2.0 * np.pi / per_whorl) + np.repeat(random.uniform(0.0, 6.3, whorls), per_whorl)
     outward = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))])
     rise = random.uniform(0.02, 0.22, len(heights)) - 0.35 * (1.0 - heights / CONIFER_HEIGHT)
@@ -99,7 +101,9 @@ def conifer(seed: int, detail: float) -> Model:
     sign = np.where(np.arange(twigs) % 2, 1.0, -1.0)[:, None]
     direction = 0.55 * outward[:, None] + 0.85 * sign * sides[:, None] + random.normal(0.0, 0.16, bases.shape) - [0.0, 0.0, 0.16]
     direction /= np.linalg.norm(direction, axis=2, keepdims=True)
-    lengths = (0.42 * reach[:, None] * (1.08 - fractions) + 0.16) * random.uniform(0.8, 1.2, bases.shape[:2])
+    lengths = (0.42 * reach[:, None] * (1.08 - fractions) + np.minimum(0.16, 0.5 * reach[:, None])) * random.uniform(
+        0.8, 1.2, bases.shape[:2]
+    )
     bases, direction, lengths = bases.reshape(-1, 3), direction.reshape(-1, 3), lengths.reshape(-1)
     per_twig = max(round(16 * detail), 2)
     count = len(bases) * per_twig
@@ -107,7 +111,7 @@ def conifer(seed: int, detail: float) -> Model:
     roots = np.repeat(bases, per_twig, axis=0) + (along * np.repeat(lengths, per_twig))[:, None] * np.repeat(direction, per_twig, axis=0)
     turn = random.normal(size=(count, 3))
     ahead = 0.75 * np.repeat(direction, per_twig, axis=0) + 0.65 * turn / np.linalg.norm(turn, axis=1, keepdims=True)
-    slender = np.clip(np.repeat(reach, twigs * per_twig), 0.3, 1.0)
+    slender = np.clip(np.repeat(reach, twigs * per_twig), 0.15, 1.0)
     length = 0.16 * (16.0 / per_twig) ** 0.5 * slender * random.uniform(0.7, 1.2, count)
     from_trunk = np.hypot(roots[:, 0], roots[:, 1]) / (0.23 * CONIFER_HEIGHT + 0.3)
     shades = (0.4 + 0.75 * np.sqrt(np.clip(from_trunk, 0.0, 1.0))) * random.uniform(0.8, 1.2, count)
