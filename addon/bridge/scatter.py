@@ -1,10 +1,13 @@
 """Plants and rocks on the ground of terrains, by geometry nodes that need no extension.
 
 Places are the cells of a grid that is fixed to the terrain, each with random numbers of its own: nothing moves when the camera or the
-terrain's meshes change. A ray from above finds the ground of each place, and its slope, height and noise decide what is there.
+terrain's meshes change. A ray from above finds the ground of each place. Its steepness, its height and noise decide whether anything
+stands there.
 """
 
-from dataclasses import dataclass, field
+import math
+from collections.abc import Collection
+from dataclasses import dataclass
 
 import bpy
 import numpy as np
@@ -28,6 +31,7 @@ SHADE = "shade"  # Attribute of vertices: factor of the color.
 MAX_SIDE = 420  # Places along a side of the grid around the camera.
 FADE_START = 0.6  # Fraction of the distance from which on there is less.
 VARIANTS = 4
+STEEPNESS_NOISE, FLAT_MARGIN = 0.12, 0.1  # How far noise moves z of normals, and what is added to its upper limit for it.
 NO_LIMIT, SNOW_COLOR = 1e6, 0.6  # Heights; and how bright the layer of snow is where it is snow.
 SOFT_HEIGHT = 1.5  # By which plants keep away from water, and fade out below the snow.
 SOCKETS = (
@@ -43,7 +47,7 @@ class Layer:
     """One kind of what is scattered. Lengths are meters.
 
     Attributes:
-        near, far: names of assets, see `_create_asset`; far ones are shown from `far_from` on.
+        near, far: names of assets, see `_create_assets`; far ones are shown from `far_from` on.
         far_from: distance to the camera.
         spacing: between places.
         distance: to the camera, up to which there are any.
@@ -70,7 +74,7 @@ class Layer:
     align: float = 0.5
     size: float = 1.0
     variation: float = 0.3
-    is_plant: bool = field(default=True)
+    is_plant: bool = True
 
 
 TUFTS = Layer("Grass", "Grass", 1e6, 0.2, 40.0, 0.9, steepest=0.78, clump_size=3.0, clumps=0.35, align=0.7, variation=0.4)
@@ -129,8 +133,9 @@ class Ground:
                     values = {socket.name: socket.default_value for socket in node.inputs if not socket.is_linked}
                     usual = {"Grass": GREEN, "Undergrowth": GREEN, "Scree": STONE}
                     colors = [np.array(values.get(layer, color)[:3]) for layer, color in usual.items()]
-                    snow = values["Snow Height"] if max(values.get("Snow", (0.0,))[:3]) > SNOW_COLOR else NO_LIMIT
-                    return cls(*colors, values["Water Height"] + SOFT_HEIGHT, snow - SOFT_HEIGHT)
+                    has_snow = max(values.get("Snow", (0.0,))[:3]) > SNOW_COLOR
+                    snow = values.get("Snow Height", NO_LIMIT) if has_snow else NO_LIMIT
+                    return cls(*colors, values.get("Water Height", -NO_LIMIT) + SOFT_HEIGHT, snow - SOFT_HEIGHT)
         return cls(np.array(GREEN), np.array(GREEN), np.array(STONE), -NO_LIMIT, NO_LIMIT)
 
 
@@ -189,7 +194,7 @@ def _find_collection(terrain: TerrainRoot) -> bpy.types.Collection | None:
     return next((item.users_collection[0] for item in find_scatter(terrain) if item.users_collection), None)
 
 
-def remove_scatter(terrain: TerrainRoot, names: object = None) -> None:
+def remove_scatter(terrain: TerrainRoot, names: Collection[str] | None = None) -> None:
     """Remove what is scattered on a terrain, or only what has one of the `names`, with assets that nothing else uses."""
     found = [item for item in find_scatter(terrain) if names is None or item[SCATTER_KEY] in names]
     meshes = [item.data for item in found]
@@ -322,7 +327,7 @@ def _fill(builder: NodeBuilder) -> None:
     kept = builder.call("GeometryNodeSeparateGeometry", {0: moved, 1: is_chosen}, {"domain": "POINT"}).outputs[0]
     up = builder.mix(given["Align to Ground"], (0.0, 0.0, 1.0), normal)
     turned = builder.call("FunctionNodeAlignRotationToVector", {"Vector": up}, {"axis": "Z"}).outputs[0]
-    spin = builder.call("FunctionNodeAxisAngleToRotation", {"Angle": builder.math("MULTIPLY", second[1], 6.2832)}).outputs[0]
+    spin = builder.call("FunctionNodeAxisAngleToRotation", {"Angle": builder.math("MULTIPLY", second[1], math.tau)}).outputs[0]
     rotation = builder.call("FunctionNodeRotateRotation", {0: turned, 1: spin}, {"rotation_space": "LOCAL"}).outputs[0]
     smaller = builder.math("MULTIPLY", builder.math("SUBTRACT", 1.0, builder.math("POWER", second[2], 1.7)), given["Size Variation"])
     size = builder.math("MULTIPLY", builder.math("SUBTRACT", 1.15, smaller), given["Size"])
@@ -370,11 +375,11 @@ def _choose(
     builder.tree.links.new(builder.vector("SCALE", position, builder.math("DIVIDE", 1.0, given["Clump Size"])), noise.inputs["Vector"])
     noise.inputs["Scale"].default_value, noise.inputs["Detail"].default_value = 1.0, 3.0
     uneven = builder.math("SUBTRACT", noise.outputs[0], 0.5)
-    steepness = builder.math("ADD", steepness, builder.math("MULTIPLY", uneven, 0.12))
+    steepness = builder.math("ADD", steepness, builder.math("MULTIPLY", uneven, STEEPNESS_NOISE))
     limits = ((given["Lowest"], height), (height, given["Highest"]), (given["Steepest"], steepness))
     for low, high in limits:
         is_chosen = builder.boolean("AND", is_chosen, builder.less(low, high))
-    is_chosen = builder.boolean("AND", is_chosen, builder.less(steepness, builder.math("ADD", given["Flattest"], 0.1)))
+    is_chosen = builder.boolean("AND", is_chosen, builder.less(steepness, builder.math("ADD", given["Flattest"], FLAT_MARGIN)))
     open_part = builder.math("MULTIPLY", builder.math("ADD", builder.math("MULTIPLY", uneven, 6.0), 0.5, True), given["Clumps"])
     weight = builder.math("ADD", builder.math("SUBTRACT", 1.0, given["Clumps"]), open_part)
     offset = builder.vector("MULTIPLY", builder.vector("SUBTRACT", position, camera), (1.0, 1.0, 0.0))

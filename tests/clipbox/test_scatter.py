@@ -177,3 +177,16 @@ def test_plants_follow_their_seed_and_their_detail():
     assert len(plants.conifer(4, 0.2).triangles) < 0.4 * len(plants.conifer(4, 0.5).triangles)
     high = plants.grass(2, 400, 0.2, 0.6).vertices[:, 2].max() / plants.grass(2, 400, 0.2, 0.3).vertices[:, 2].max()
     assert high == pytest.approx(2.0, rel=0.1)
+
+
+def test_inputs_of_the_ground_may_be_linked(terrain, layer):
+    add_camera(-20.0, 0.0)
+    material = next(material for item in terrain.ground_objects() for material in item.data.materials)
+    group = next(node for node in material.node_tree.nodes if node.type == "GROUP" and "Snow Height" in node.inputs)
+    value = material.node_tree.nodes.new("ShaderNodeValue")
+    for name in ("Snow Height", "Water Height", "Grass"):
+        material.node_tree.links.new(value.outputs[0], group.inputs[name])
+    try:
+        assert scatter.add_scatter(bpy.context.scene, terrain, ScatterSettings(kind="meadow"), 1.0)
+    finally:
+        material.node_tree.nodes.remove(value)

@@ -3,6 +3,7 @@
 The material of a tile with a texture or a normal map has packed images, as coded in the store, and is kept for a while after its last use.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import bpy
@@ -252,10 +253,11 @@ class TileMaterials:
         shown = f"{self._settings.shading}|{self._settings.exaggeration:g}|{self._settings.curvature:d}"
         self._identity = f"{engine.identity}|{root_name}|{shown}"
 
-    def find(self, number: int) -> bpy.types.Material | None:
-        """Return the material of the square `number`, None if there is none."""
-        key = self._key(number)
-        return next((item for item in bpy.data.materials if item.get(TEXTURE_KEY) == key and item.library is None), None)
+    def find_all(self, numbers: Iterable[int]) -> dict[int, bpy.types.Material]:
+        """Return the materials of the squares `numbers`, as far as there are any."""
+        known = {str(item[TEXTURE_KEY]): item for item in bpy.data.materials if TEXTURE_KEY in item and item.library is None}
+        keys = {number: self._key(number) for number in numbers}
+        return {number: known[key] for number, key in keys.items() if key in known}
 
     def create(self, number: int, name: str, shown: ShownMaps, material: bpy.types.Material, root: bpy.types.Object) -> None:
         """Create the material of the square `number`, with packed images, if it has maps.

@@ -79,7 +79,8 @@ class SceneTerrain(TerrainRoot):
         return {str(child[TILE_KEY]): child for child in self.root.children if TILE_KEY in child and child.type == "MESH"}
 
     def ensure_material(self, shading: str, engine: BdamEngine) -> bpy.types.Material:
-        """Return its material for a shading; create it if there is none."""
+        """Return its material for a shading, for "texture" that of tiles without one; create it if there is none."""
+        shading = "slope" if shading == "texture" else shading
         kind = f"{shading} curved" if engine.settings.curvature and shading != "level" else shading
         key = f"{MATERIAL_NAMES}{kind}"
         material = bpy.data.materials.get((str(self.root.get(key, "")), None)) or self._shown_material(kind)
@@ -198,16 +199,15 @@ class TerrainChange:
 
     def _ensure_materials(self, update: Update, shading: str) -> Iterator[None]:
         """Return the material of every tile, in several steps; tiles without texture are shaded by slope."""
-        general = self._terrain.ensure_material("slope" if shading == "texture" else shading, self._engine)
+        general = self._terrain.ensure_material(shading, self._engine)
         tile_materials = TileMaterials(self._engine, self._terrain.name)
-        numbers = sorted({number for number in update.tiles.values() if number is not None})
-        for number in numbers:
-            if tile_materials.find(number) is None:
-                maps = self._maps.get(number) or self._engine.read_maps(number)[0]
-                tile_materials.create(number, self._terrain.name, maps, general, self._terrain.root)
-                yield
-        by_number = {number: tile_materials.find(number) for number in numbers}
-        return {key: by_number.get(number) or general for key, number in update.tiles.items()}
+        numbers = {number for number in update.tiles.values() if number is not None}
+        for number in sorted(numbers - tile_materials.find_all(numbers).keys()):
+            maps = self._maps.get(number) or self._engine.read_maps(number)[0]
+            tile_materials.create(number, self._terrain.name, maps, general, self._terrain.root)
+            yield
+        by_number = tile_materials.find_all(numbers)  # Undo may have removed some between two steps.
+        return {key: by_number.get(number, general) for key, number in update.tiles.items()}
 
 
 def fill_tile_mesh(mesh: bpy.types.Mesh, source: TileMesh) -> Iterator[None]:

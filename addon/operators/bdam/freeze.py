@@ -103,23 +103,18 @@ class FreezePathJob:
             meshes = [join(meshes)] if self.settings.joined else meshes
             check_exists(self.terrain)
             materials = TileMaterials(core_result, self.terrain.name)
-            general = self.terrain.ensure_material(
-                "slope" if self.view_settings.shading == "texture" else self.view_settings.shading, core_result
-            )
-            numbers = sorted({key for mesh in meshes for key in mesh.materials if key is not None})
-            for index, number in enumerate(numbers):
-                yield Progress(MESHES_FRACTION + (1.0 - MESHES_FRACTION) * index / len(numbers), "Creating materials")
-                if materials.find(number) is None:
-                    maps, of_maps = core_result.read_maps(number)
-                    damages = (*damages, *of_maps)
-                    materials.create(number, self.terrain.name, maps, general, self.terrain.root)
+            general = self.terrain.ensure_material(self.view_settings.shading, core_result)
+            numbers = {key for mesh in meshes for key in mesh.materials if key is not None}
+            missing = sorted(numbers - materials.find_all(numbers).keys())
+            for index, number in enumerate(missing):
+                yield Progress(MESHES_FRACTION + (1.0 - MESHES_FRACTION) * index / len(missing), "Creating materials")
+                maps, of_maps = core_result.read_maps(number)
+                damages = (*damages, *of_maps)
+                materials.create(number, self.terrain.name, maps, general, self.terrain.root)
             yield Progress(1.0, "Creating objects")
             check_exists(self.terrain)
-
-            def find_material(key: Key) -> bpy.types.Material | None:
-                return (None if key is None else materials.find(key)) or general
-
-            self.object_names, message = create_objects(self.terrain, meshes, self.settings, find_material)
+            found = materials.find_all(numbers)
+            self.object_names, message = create_objects(self.terrain, meshes, self.settings, lambda key: found.get(key, general))
             remove_unused()
             sentences = [message, f"Good for {format_count(len(self.frames), 'frame')}.", describe_limit(textures, self.view_settings)]
             return join_sentences([*sentences, *damages[:1]])
