@@ -31,5 +31,5 @@ def test_dask_builds_the_same_bytes_with_textures(scheduler, tmp_path):
         with open_executor(word) as executor:
             run_to_end(build_terrain(field, [source], folders[-1], BdamSettings(patch_size="16"), [image], executor))
     serial, dask = ({path.relative_to(folder): path.read_bytes() for path in folder.rglob("*.*")} for folder in folders)
-    assert len(serial) == 8 and dask == serial
+    assert len(serial) == 12 and dask == serial
     assert sorted(path.name for path in tmp_path.glob("store*")) == ["store 0", "store 1"], "nothing is left over"

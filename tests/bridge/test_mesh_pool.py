@@ -139,3 +139,26 @@ def test_pending_meshes_that_have_changed_are_not_shown(change):
     change(bpy.data.meshes[pending.names["b"]])
     with pytest.raises(GeometryError, match="Undo has removed meshes"):
         pending.check()
+
+
+def test_a_new_mesh_with_the_name_of_a_removed_one_is_noticed():
+    pending = PendingMeshes("test", "Tile")
+    pending.fill("a", VERTICES, TRIANGLES)
+    bpy.data.meshes.remove(bpy.data.meshes[pending.names["a"]])
+    pending.fill("b", VERTICES, TRIANGLES)
+    assert pending.names["a"] == pending.names["b"]
+    with pytest.raises(GeometryError, match="Undo has removed meshes"):
+        pending.check()
+
+
+def test_no_mesh_is_filled_twice_if_spare_meshes_were_removed():
+    first = PendingMeshes("test", "Tile")
+    for key in "ab":
+        first.fill(key, VERTICES, TRIANGLES)
+    second = PendingMeshes("test", "Tile")
+    for name in first.names.values():
+        bpy.data.meshes.remove(bpy.data.meshes[name])
+    for key in "abc":
+        second.fill(key, VERTICES, TRIANGLES)
+    second.check()
+    assert len(set(second.names.values())) == 3

@@ -36,12 +36,18 @@ class PendingMeshes:
 
     def take(self, key: Hashable) -> bpy.types.Mesh:
         """Return a mesh with any content that is to be filled for `key`. Its material slots are those of its last use."""
-        mesh = bpy.data.meshes.get((self._spare.pop(), None)) if self._spare else None
-        if mesh is None or mesh.users:  # removed or used meanwhile, or there was none
-            mesh = bpy.data.meshes.new(self._mesh_name)
+        mesh = self._pop_spare() or bpy.data.meshes.new(self._mesh_name)
         mesh[SPARE_KEY], mesh[PENDING_KEY] = self._pool, self._identity
         self.names[key] = mesh.name
         return mesh
+
+    def _pop_spare(self) -> bpy.types.Mesh | None:
+        """Return a spare mesh that nobody has used, filled here or replaced by another of its name since the start; None without one."""
+        while self._spare:
+            mesh = bpy.data.meshes.get((self._spare.pop(), None))
+            if mesh and not mesh.users and mesh.get(SPARE_KEY) == self._pool and mesh.get(PENDING_KEY) != self._identity:
+                return mesh
+        return None
 
     def fill(self, key: Hashable, vertices: np.ndarray, triangles: np.ndarray, normals: np.ndarray | None = None) -> None:
         """Fill the mesh of `key`; see `fill_mesh`."""
@@ -54,7 +60,8 @@ class PendingMeshes:
             GeometryError: one of them was removed, is used, or has the content of another time, as after undo.
         """
         meshes = [bpy.data.meshes.get((name, None)) for name in self.names.values()]
-        if not all(mesh and not mesh.users and mesh.get(PENDING_KEY) == self._identity for mesh in meshes):
+        is_unchanged = all(mesh and not mesh.users and mesh.get(PENDING_KEY) == self._identity for mesh in meshes)
+        if not is_unchanged or len(set(meshes)) < len(meshes):  # A new mesh may have got the name of a removed one.
             raise GeometryError("Undo has removed meshes of this command before they were shown. Run it again.")
 
     def claim(self, key: Hashable) -> bpy.types.Mesh:

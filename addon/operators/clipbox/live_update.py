@@ -62,6 +62,11 @@ class LiveUpdate:
         if bpy.app.timers.is_registered(self._timer):
             bpy.app.timers.unregister(self._timer)
 
+    def restart(self) -> None:
+        """Rebuild the terrain in any case: undo has brought back an earlier one, and has removed meshes of a running build."""
+        self._cancel()
+        self._shown = None
+
     def advance(self) -> None:
         """Continue for a moment: start, continue or cancel a build.
 
@@ -168,7 +173,19 @@ def _after_change(*_: Any) -> None:
     current.has_changed = True
 
 
-HANDLERS: tuple[tuple[str, Any], ...] = (("load_pre", _before_load), ("depsgraph_update_post", _after_change))
+@bpy.app.handlers.persistent
+def _after_undo(*_: Any) -> None:
+    """Data-blocks have the state of another time."""
+    current.has_changed = True
+    current.restart()
+
+
+HANDLERS: tuple[tuple[str, Any], ...] = (
+    ("load_pre", _before_load),
+    ("depsgraph_update_post", _after_change),
+    ("undo_post", _after_undo),
+    ("redo_post", _after_undo),
+)
 register_classes, unregister_classes = bpy.utils.register_classes_factory((FARFIELD_OT_clipbox_live_update,))
 
 
