@@ -5,7 +5,6 @@ terrain's meshes change. A ray from above finds the ground of each place. Its st
 stands there.
 """
 
-import math
 from collections.abc import Collection
 from dataclasses import dataclass
 
@@ -14,32 +13,23 @@ import numpy as np
 
 from ..compat import read_node_input, set_node_input
 from ..core import plants
+from ..core.errors import GeometryError
 from ..core.plants import Model
 from ..core.scatter import ScatterSettings
-from .active_camera import add_view
-from .geometry.geometry_nodes import TREE, GeometryBuilder
 from .geometry.mesh_arrays import write_attribute, write_triangles
+from .scatter_nodes import MAX_SIDE, NAME, ensure_group
 from .shading.ground import GROUP_NAME
-from .shading.node_builder import NodeBuilder, create_node_material, ensure_shared_group, nodes_in
+from .shading.node_builder import create_node_material, nodes_in
 from .shading.solid_view import show_color
 from .sky import copy_haze
 from .terrain_roots import TerrainRoot, link_collection
 
-NAME, VERSION = "Farfield Scatter", 1
 SCATTER_KEY = "farfield_scatter"  # Custom property of the objects: what they scatter.
 SHADE = "shade"  # Attribute of vertices: factor of the color.
-MAX_SIDE = 420  # Places along a side of the grid around the camera.
-FADE_START = 0.6  # Fraction of the distance from which on there is less.
 VARIANTS = 4
-STEEPNESS_NOISE, FLAT_MARGIN = 0.12, 0.1  # How far noise moves z of normals, and what is added to its upper limit for it.
 NO_LIMIT, SNOW_COLOR = 1e6, 0.6  # Heights; and how bright the layer of snow is where it is snow.
+ABOVE_WATER = 0.02  # Meters from water, below which rays have hit its surface.
 SOFT_HEIGHT = 1.5  # By which plants keep away from water, and fade out below the snow.
-SOCKETS = (
-    ("Geometry", "Geometry"), ("Ground", "Collection"), ("Near", "Collection"), ("Far", "Collection"), ("Far From", "Float"),
-    ("Spacing", "Float"), ("Distance", "Float"), ("Density", "Float"), ("Lowest", "Float"), ("Highest", "Float"), ("Flattest", "Float"),
-    ("Steepest", "Float"), ("Clump Size", "Float"), ("Clumps", "Float"), ("Align to Ground", "Float"), ("Size", "Float"),
-    ("Size Variation", "Float"), ("Seed", "Int"),
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -59,6 +49,8 @@ class Layer:
         size: factor of the asset's size.
         variation: of sizes, from 0, equal ones, to 1, mostly small ones.
         is_plant: whether it keeps away from water and snow.
+        clearance: to the camera, below which there is none.
+        sway: angle by which it leans in gusts of a strong wind, radians.
     """
 
     near: str
@@ -75,11 +67,29 @@ class Layer:
     size: float = 1.0
     variation: float = 0.3
     is_plant: bool = True
+    clearance: float = 0.0
+    sway: float = 0.0
 
 
-TUFTS = Layer("Grass", "Grass", 1e6, 0.2, 40.0, 0.9, steepest=0.78, clump_size=3.0, clumps=0.35, align=0.7, variation=0.4)
-PATCHES = Layer("Grass Patch", "Grass Patch", 1e6, 0.75, 150.0, 0.8, steepest=0.8, clump_size=9.0, clumps=0.4, align=0.8, variation=0.3)
-BUSHES = Layer("Bush", "Far Bush", 60.0, 3.0, 400.0, 0.16, steepest=0.72, clump_size=30.0, clumps=0.9, align=0.2, variation=0.6)
+TUFTS = Layer("Grass", "Grass", 1e6, 0.2, 40.0, 0.9, steepest=0.78, clump_size=3.0, clumps=0.35, align=0.7, variation=0.4, sway=0.35)
+PATCHES = Layer(
+    "Grass Patch", "Grass Patch", 1e6, 0.75, 150.0, 0.8, steepest=0.8, clump_size=9.0, clumps=0.4, align=0.8, variation=0.3, sway=0.3
+)
+BUSHES = Layer(
+    "Bush",
+    "Far Bush",
+    60.0,
+    3.0,
+    400.0,
+    0.16,
+    steepest=0.72,
+    clump_size=30.0,
+    clumps=0.9,
+    align=0.2,
+    variation=0.6,
+    clearance=1.5,
+    sway=0.07,
+)
 STONES = Layer("Rock", "Far Rock", 40.0, 1.6, 200.0, 0.1, clump_size=14.0, clumps=0.85, size=0.3, variation=0.85, is_plant=False)
 DEBRIS = Layer(
     "Rock",
@@ -96,8 +106,24 @@ DEBRIS = Layer(
     variation=0.95,
     is_plant=False,
 )
-CONIFERS = Layer("Conifer", "Far Conifer", 70.0, 4.2, 850.0, 0.6, steepest=0.74, clump_size=90.0, clumps=0.75, align=0.0, variation=0.45)
-DRY_TUFTS = Layer("Grass Patch", "Grass Patch", 1e6, 1.6, 220.0, 0.22, steepest=0.8, clump_size=12.0, clumps=0.7, align=0.8, size=0.6)
+CONIFERS = Layer(
+    "Conifer",
+    "Far Conifer",
+    70.0,
+    4.2,
+    850.0,
+    0.6,
+    steepest=0.74,
+    clump_size=90.0,
+    clumps=0.75,
+    align=0.0,
+    variation=0.45,
+    clearance=6.0,
+    sway=0.025,
+)
+DRY_TUFTS = Layer(
+    "Grass Patch", "Grass Patch", 1e6, 1.6, 220.0, 0.22, steepest=0.8, clump_size=12.0, clumps=0.7, align=0.8, size=0.6, sway=0.3
+)
 KINDS = {
     "meadow": {"Grass": TUFTS, "Grass Patches": PATCHES, "Bushes": BUSHES, "Stones": STONES},
     "forest": {"Conifers": CONIFERS, "Bushes": BUSHES, "Grass": TUFTS, "Grass Patches": PATCHES, "Stones": STONES},
@@ -143,7 +169,11 @@ def add_scatter(scene: bpy.types.Scene, terrain: TerrainRoot, settings: ScatterS
     """Scatter what the settings name on a terrain, in place of the same kinds that were there. Returns the objects.
 
     scale: scene units of a meter.
+
+    Raises:
+        GeometryError: nothing but plants would be left of their ground, since its objects are in no collection of their own.
     """
+    surface = _find_ground_collection(scene, terrain)
     layers, ground = KINDS[settings.kind], Ground.of(terrain)
     collection = _find_collection(terrain) or link_collection(scene, f"{terrain.name} Scatter")
     remove_scatter(terrain, layers)
@@ -158,22 +188,42 @@ def add_scatter(scene: bpy.types.Scene, terrain: TerrainRoot, settings: ScatterS
         item.hide_select = True
         collection.objects.link(item)
         modifier = item.modifiers.new(NAME, "NODES")
-        modifier.node_group = ensure_shared_group(NAME, VERSION, SOCKETS, (("Geometry", "Geometry"),), _fill, tree_type=TREE)
+        modifier.node_group = ensure_group(bool(settings.wind and layer.sway))
         distance, wanted = layer.distance * settings.distance, layer.density * settings.density
         spacing = max(layer.spacing / max(wanted, 1.0) ** 0.5, 2.0 * distance / MAX_SIDE)
-        low, high = (ground.lowest, ground.highest) if layer.is_plant else (ground.lowest - SOFT_HEIGHT, NO_LIMIT)
+        low, high = (ground.lowest, ground.highest) if layer.is_plant else (ground.lowest - SOFT_HEIGHT + ABOVE_WATER * scale, NO_LIMIT)
         values = {
-            "Ground": terrain.root.users_collection[0], "Near": assets[layer.near], "Far": assets[layer.far],
+            "Ground": surface, "Near": assets[layer.near], "Far": assets[layer.far],
             "Far From": layer.far_from * settings.distance * scale, "Spacing": spacing * scale, "Distance": distance * scale,
             "Density": min(wanted, 1.0), "Lowest": low, "Highest": high, "Flattest": layer.flattest, "Steepest": layer.steepest,
             "Clump Size": layer.clump_size * scale, "Clumps": layer.clumps, "Align to Ground": layer.align, "Size": layer.size * scale,
             "Size Variation": layer.variation, "Seed": settings.seed + 17 * len(created),
+            "Clearance": layer.clearance * scale, "Sway": layer.sway * settings.wind, "Meter": scale,
         }  # fmt: skip
         for socket, value in values.items():
             set_node_input(modifier, socket, value)
         created.append(item)
     copy_haze((material for item in terrain.ground_objects() for material in item.data.materials), find_materials(terrain))
     return created
+
+
+def _find_ground_collection(scene: bpy.types.Scene, terrain: TerrainRoot) -> bpy.types.Collection:
+    """Return the collection with the ground of a terrain. Raises GeometryError if it is that of the scene, which also holds the plants."""
+    for collection in terrain.ground_objects()[0].users_collection:
+        if collection != scene.collection and not any(SCATTER_KEY in item for item in collection.all_objects):
+            return collection
+    raise GeometryError(
+        f'Move "{terrain.name}" with its children into a collection of its own: plants and rocks look for their ground there.'
+    )
+
+
+def move_scatter(terrain: TerrainRoot, ground: bpy.types.Collection) -> None:
+    """Let what is scattered on a terrain stand on a copy of its ground, without the terrain."""
+    for item in find_scatter(terrain):
+        item.parent, item.matrix_world = None, terrain.root.matrix_world
+        for modifier in item.modifiers:
+            if modifier.type == "NODES":
+                set_node_input(modifier, "Ground", ground)
 
 
 def find_scatter(terrain: TerrainRoot) -> list[bpy.types.Object]:
@@ -281,109 +331,3 @@ def _create_material(name: str, color: np.ndarray, is_leaf: bool = False) -> bpy
     builder.arrange()
     show_color(material, (*color.tolist(), 1.0))
     return material
-
-
-def _fill(builder: NodeBuilder) -> None:
-    builder = GeometryBuilder(builder.tree)
-    given = builder.node("NodeGroupInput").outputs
-    own = builder.call("GeometryNodeObjectInfo", {"Object": builder.node("GeometryNodeSelfObject").outputs[0]}).outputs["Transform"]
-    to_local = builder.call("FunctionNodeInvertMatrix", {0: own}).outputs[0]
-    camera = builder.transform_point(add_view(builder).position, to_local)
-    ground = builder.call("GeometryNodeCollectionInfo", {0: given["Ground"]}, {"transform_space": "RELATIVE"}).outputs[0]
-    ground = builder.call("GeometryNodeRealizeInstances", {0: ground}).outputs[0]
-    side = builder.math("DIVIDE", builder.math("MULTIPLY", given["Distance"], 2.0), given["Spacing"])
-    side = builder.math("MINIMUM", builder.math("CEIL", side, 0.0), float(MAX_SIDE))
-    index = builder.node("GeometryNodeInputIndex").outputs[0]
-    row = builder.math("FLOOR", builder.math("DIVIDE", builder.math("ADD", index, 0.5), side), 0.0)
-    column = builder.math("SUBTRACT", index, builder.math("MULTIPLY", row, side))
-    half = builder.math("FLOOR", builder.math("MULTIPLY", side, 0.5), 0.0)
-    cells = []
-    for place, axis in zip((column, row), builder.separate(camera)[:2], strict=True):
-        center = builder.math("FLOOR", builder.math("DIVIDE", axis, given["Spacing"]), 0.0)
-        cells.append(builder.math("ADD", builder.math("SUBTRACT", place, half), center))
-    first, second = (_random(builder, cells, builder.math("ADD", given["Seed"], shift)) for shift in (0.25, 0.75))
-    x, y = (
-        builder.math("MULTIPLY", builder.math("ADD", cell, value), given["Spacing"])
-        for cell, value in zip(cells, builder.separate(first)[:2], strict=True)
-    )
-    bounds = builder.call("GeometryNodeBoundBox", {0: ground}).outputs
-    top, bottom = (builder.separate(bounds[name])[2] for name in ("Max", "Min"))
-    start = builder.math("ADD", top, 1.0)
-    count = builder.math("MULTIPLY", side, side)
-    points = builder.call("GeometryNodePoints", {"Count": count, "Position": builder.combine(x, y, start), "Radius": 0.01}).outputs[0]
-    length = builder.math("ADD", builder.math("SUBTRACT", start, bottom), 1.0)
-    ray = builder.call(
-        "GeometryNodeRaycast",
-        {"Target Geometry": ground, "Source Position": builder.node("GeometryNodeInputPosition").outputs[0], "Ray Length": length},
-    )
-    ray.inputs["Ray Direction"].default_value = (0.0, 0.0, -1.0)
-    # What is known of each place is stored before the points move to the ground, and some of them are left out.
-    values = {"Is Hit": ray.outputs["Is Hit"], "Position": ray.outputs["Hit Position"], "Normal": ray.outputs["Hit Normal"]}
-    hit = _capture(builder, points, values | {"First": first, "Second": second})
-    first, second = (builder.separate(hit.outputs[name]) for name in ("First", "Second"))
-    capture, position, normal = hit.outputs[0], hit.outputs["Position"], hit.outputs["Normal"]
-    is_chosen = _choose(builder, given, hit, camera, second[0])
-    moved = builder.call("GeometryNodeSetPosition", {"Geometry": capture, "Position": position}).outputs[0]
-    kept = builder.call("GeometryNodeSeparateGeometry", {0: moved, 1: is_chosen}, {"domain": "POINT"}).outputs[0]
-    up = builder.mix(given["Align to Ground"], (0.0, 0.0, 1.0), normal)
-    turned = builder.call("FunctionNodeAlignRotationToVector", {"Vector": up}, {"axis": "Z"}).outputs[0]
-    spin = builder.call("FunctionNodeAxisAngleToRotation", {"Angle": builder.math("MULTIPLY", second[1], math.tau)}).outputs[0]
-    rotation = builder.call("FunctionNodeRotateRotation", {0: turned, 1: spin}, {"rotation_space": "LOCAL"}).outputs[0]
-    smaller = builder.math("MULTIPLY", builder.math("SUBTRACT", 1.0, builder.math("POWER", second[2], 1.7)), given["Size Variation"])
-    size = builder.math("MULTIPLY", builder.math("SUBTRACT", 1.15, smaller), given["Size"])
-    distance = builder.vector("LENGTH", builder.vector("SUBTRACT", position, camera))
-    is_near = builder.less(distance, given["Far From"])
-    join = builder.node("GeometryNodeJoinGeometry")
-    variant = builder.math("FLOOR", builder.math("MULTIPLY", first[2], 997.0), 0.0)
-    for name, selection in (("Near", is_near), ("Far", builder.boolean("NOT", is_near))):
-        assets = builder.call("GeometryNodeCollectionInfo", {0: given[name], 1: True, 2: True}).outputs[0]
-        inputs = {"Points": kept, "Selection": selection, "Instance": assets, "Pick Instance": True, "Instance Index": variant}
-        instances = builder.call("GeometryNodeInstanceOnPoints", {**inputs, "Rotation": rotation, "Scale": size}).outputs[0]
-        builder.tree.links.new(instances, join.inputs[0])
-    builder.tree.links.new(join.outputs[0], builder.node("NodeGroupOutput").inputs[0])
-
-
-def _random(builder: GeometryBuilder, cells: list[bpy.types.NodeSocket], seed: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
-    """Return a vector of three random numbers of each cell."""
-    noise = builder.node("ShaderNodeTexWhiteNoise", {"noise_dimensions": "3D"})
-    builder.tree.links.new(builder.combine(*cells, seed), noise.inputs["Vector"])
-    return noise.outputs["Color"]
-
-
-def _capture(builder: GeometryBuilder, geometry: bpy.types.NodeSocket, values: dict[str, bpy.types.NodeSocket]) -> bpy.types.Node:
-    """Return a node with the geometry and with values of its points that stay when it changes."""
-    node = builder.node("GeometryNodeCaptureAttribute", {"domain": "POINT"})
-    builder.tree.links.new(geometry, node.inputs[0])
-    for name, value in values.items():
-        node.capture_items.new("BOOLEAN" if value.type == "BOOLEAN" else "VECTOR", name)
-        builder.tree.links.new(value, node.inputs[name])
-    return node
-
-
-def _choose(
-    builder: GeometryBuilder,
-    given: bpy.types.bpy_prop_collection,
-    hit: bpy.types.Node,
-    camera: bpy.types.NodeSocket,
-    random: bpy.types.NodeSocket,
-) -> bpy.types.NodeSocket:
-    """Return whether there is something at a place: by the ground there, noise, and the distance to the camera."""
-    position = hit.outputs["Position"]
-    height, steepness = builder.separate(position)[2], builder.separate(hit.outputs["Normal"])[2]
-    is_chosen = hit.outputs["Is Hit"]
-    noise = builder.node("ShaderNodeTexNoise")
-    builder.tree.links.new(builder.vector("SCALE", position, builder.math("DIVIDE", 1.0, given["Clump Size"])), noise.inputs["Vector"])
-    noise.inputs["Scale"].default_value, noise.inputs["Detail"].default_value = 1.0, 3.0
-    uneven = builder.math("SUBTRACT", noise.outputs[0], 0.5)
-    steepness = builder.math("ADD", steepness, builder.math("MULTIPLY", uneven, STEEPNESS_NOISE))
-    limits = ((given["Lowest"], height), (height, given["Highest"]), (given["Steepest"], steepness))
-    for low, high in limits:
-        is_chosen = builder.boolean("AND", is_chosen, builder.less(low, high))
-    is_chosen = builder.boolean("AND", is_chosen, builder.less(steepness, builder.math("ADD", given["Flattest"], FLAT_MARGIN)))
-    open_part = builder.math("MULTIPLY", builder.math("ADD", builder.math("MULTIPLY", uneven, 6.0), 0.5, True), given["Clumps"])
-    weight = builder.math("ADD", builder.math("SUBTRACT", 1.0, given["Clumps"]), open_part)
-    offset = builder.vector("MULTIPLY", builder.vector("SUBTRACT", position, camera), (1.0, 1.0, 0.0))
-    reached = builder.math("DIVIDE", builder.vector("LENGTH", offset), given["Distance"])
-    fade = builder.math("DIVIDE", builder.math("SUBTRACT", 1.0, reached), 1.0 - FADE_START, True)
-    probability = builder.math("MULTIPLY", builder.math("MULTIPLY", weight, fade), given["Density"])
-    return builder.boolean("AND", is_chosen, builder.less(random, probability))

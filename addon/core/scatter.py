@@ -19,4 +19,5 @@ class ScatterSettings(Settings):
     kind: str = setting("meadow", "What grows and lies on the ground", choices=KINDS)
     density: float = setting(1.0, "Factor of the number of plants and rocks", minimum=0.0, maximum=10.0)
     distance: float = setting(1.0, "Factor of the distances to the camera up to which they are there", minimum=0.1, maximum=10.0)
+    wind: float = setting(0.0, "How far plants lean and sway in the wind; more than 0 takes time for every frame", minimum=0.0, maximum=1.0)
     seed: int = setting(0, "Seed of all places and shapes", minimum=0, maximum=10_000)

@@ -4,7 +4,9 @@ import bpy
 import numpy as np
 import pytest
 
+from farfield.addon.bridge import scatter
 from farfield.addon.bridge.clipbox import objects as terrain_objects
+from farfield.addon.core.scatter import ScatterSettings
 from scene_terrain import camera_at, create
 from watertight import directed_edge_counts, open_edges
 
@@ -21,7 +23,8 @@ def convert(terrain, **settings):
     bpy.context.view_layer.objects.active = terrain.root
     assert bpy.ops.farfield.clipbox_convert_to_mesh(**settings) == {"FINISHED"}
     bpy.context.view_layer.update()
-    return {item.name.split(".")[0]: item for item in bpy.data.collections["Terrain Mesh"].objects}
+    found = [collection for collection in bpy.data.collections if collection.name.startswith("Terrain Mesh")]
+    return {item.name.split(".")[0]: item for collection in found for item in collection.objects}
 
 
 def read_geometry(item):
@@ -99,3 +102,25 @@ def test_meshes_have_the_position_of_the_terrain_and_need_no_root():
 
 def test_the_operator_is_disabled_without_a_terrain():
     assert not bpy.ops.farfield.clipbox_convert_to_mesh.poll()
+
+
+def test_water_and_plants_stay_where_they_are():
+    def plants():
+        bpy.context.view_layer.update()
+        owners = [item for item in bpy.data.objects if scatter.SCATTER_KEY in item and item.users_scene]
+        instances = bpy.context.evaluated_depsgraph_get().object_instances
+        return np.array([np.array(item.matrix_world) for item in instances if item.is_instance and item.parent.original in owners])[
+            :, :3, 3
+        ]
+
+    camera_at(0.0, 0.0, 12.0)
+    terrain = create(terrain="formula", formula="0.1*x - z", water=True, water_level=1.0)
+    scatter.add_scatter(bpy.context.scene, terrain, ScatterSettings(kind="rocks", distance=0.3), 1.0)
+    before = plants()
+    objects = convert(terrain)
+    after, water = plants(), objects["Terrain Mesh Water"]
+    assert len(before) > 20 and before[:, 2].min() > 1.01, "nothing lies on the water"
+    inner = before[np.abs(before[:, :2]).max(axis=1) < 56.0]  # Closed ground differs next to its border.
+    distances = np.linalg.norm(inner[:, None] - after[None], axis=2).min(axis=1)
+    assert (distances < 0.01).mean() > 0.98, "rounding of heights decides about places at limits"
+    assert {(water.matrix_world @ vertex.co).z for vertex in water.data.vertices} == {1.0} and water.data.materials[0]

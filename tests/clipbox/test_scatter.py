@@ -1,5 +1,7 @@
 """Plants and rocks on terrains: their shapes, and where geometry nodes put them."""
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from farfield.addon.bridge.scatter import SCATTER_KEY, Layer
 from farfield.addon.compat import set_node_input
 from farfield.addon.core import plants
 from farfield.addon.core.clipbox.settings import ClipboxSettings
+from farfield.addon.core.errors import GeometryError
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.core.scatter import KINDS, ScatterSettings
 from farfield.addon.core.sky import SkySettings
@@ -51,7 +54,7 @@ def clean(terrain):
 @pytest.fixture
 def layer(monkeypatch):
     """One layer of stones that is everywhere on ground that is not steep."""
-    layer = Layer("Rock", "Far Rock", 20.0, 1.0, 30.0, 1.0, steepest=STEEPEST, clumps=0.0, align=1.0, is_plant=False)
+    layer = Layer("Rock", "Far Rock", 20.0, 1.0, 30.0, 1.0, steepest=STEEPEST, clumps=0.0, align=1.0, is_plant=False, sway=0.1)
     monkeypatch.setitem(scatter.KINDS, "rocks", {"Stones": layer})
     return layer
 
@@ -98,6 +101,16 @@ def test_places_stay_when_the_camera_moves(terrain, layer):
         return matrices[np.linalg.norm(matrices[:, :2, 3] - midpoint, axis=1) < 0.45 * layer.distance]
 
     assert len(near_both(before)) > 100 and np.allclose(near_both(before), near_both(after), atol=1e-4)
+
+
+def test_there_is_nothing_right_before_the_camera(terrain, layer, monkeypatch):
+    add_camera(-20.0, 0.0)
+    closest = []
+    for clearance in (0.0, 6.0):
+        monkeypatch.setitem(scatter.KINDS, "rocks", {"Stones": replace(layer, clearance=clearance)})
+        scatter.add_scatter(bpy.context.scene, terrain, ScatterSettings(kind="rocks"), 1.0)
+        closest.append(np.linalg.norm(places(terrain)[0][:, :2, 3] - [-20.0, 0.0], axis=1).min())
+    assert closest[0] < 1.5 and 6.0 <= closest[1] < 7.5
 
 
 def test_density_seed_and_height_change_what_there_is(terrain, layer):
@@ -190,3 +203,39 @@ def test_inputs_of_the_ground_may_be_linked(terrain, layer):
         assert scatter.add_scatter(bpy.context.scene, terrain, ScatterSettings(kind="meadow"), 1.0)
     finally:
         material.node_tree.nodes.remove(value)
+
+
+def test_plants_lean_in_the_wind_and_stay_in_place(terrain, layer):
+    add_camera(-20.0, 0.0)
+    scene, found = bpy.context.scene, {}
+    for wind in (0.0, 0.5, 1.0):
+        scatter.add_scatter(scene, terrain, ScatterSettings(kind="rocks", wind=wind), 1.0)
+        for frame in (1, 30):
+            scene.frame_set(frame)
+            found[wind, frame] = places(terrain)[0]
+    still = found[0.0, 1]
+    assert np.array_equal(found[0.0, 30], still) and len(still) > 200
+    for wind in (0.5, 1.0):
+        first, last = found[wind, 1], found[wind, 30]
+        assert np.allclose(first[:, :3, 3], still[:, :3, 3]) and np.allclose(last[:, :3, 3], still[:, :3, 3])
+        assert np.abs(first - last).max() > 0.01
+        axes, calm = ((matrix[:, :3, 2] / np.linalg.norm(matrix[:, :3, 2], axis=1, keepdims=True)) for matrix in (first, still))
+        angles = np.arccos(np.clip((axes * calm).sum(axis=1), -1.0, 1.0))
+        assert angles.max() <= 1.2 * wind * layer.sway + 1e-3 and angles.mean() > 0.2 * wind * layer.sway
+        assert (axes[:, 0] - calm[:, 0]).mean() > 0.0, "they lean along X"
+
+
+def test_ground_without_a_collection_of_its_own_is_refused(terrain, layer):
+    add_camera(-20.0, 0.0)
+    scene = bpy.context.scene
+    (collection,) = terrain.root.users_collection
+    for item in terrain.ground_objects():
+        scene.collection.objects.link(item)
+        collection.objects.unlink(item)
+    try:
+        with pytest.raises(GeometryError, match="into a collection of its own"):
+            scatter.add_scatter(scene, terrain, ScatterSettings(kind="rocks"), 1.0)
+    finally:
+        for item in terrain.ground_objects():
+            collection.objects.link(item)
+            scene.collection.objects.unlink(item)

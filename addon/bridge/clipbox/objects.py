@@ -165,7 +165,10 @@ def show_water(terrain: SceneTerrain, settings: ClipboxSettings) -> None:
 
 
 def add_converted_meshes(scene: bpy.types.Scene, terrain: SceneTerrain, parts: list[ConvertedMesh]) -> tuple[str, ...]:
-    """Create objects of converted meshes at the terrain's position, in a new collection. Returns their names."""
+    """Create objects of converted meshes and of water at the terrain's position, in a new collection. Returns their names.
+
+    A collider is in a collection of its own.
+    """
     origin = terrain.origin
     collection, material = link_collection(scene, CONVERTED_NAME), copy_material(terrain.material, terrain.root)
     names = []
@@ -175,12 +178,18 @@ def add_converted_meshes(scene: bpy.types.Scene, terrain: SceneTerrain, parts: l
         fill_mesh(mesh, source.vertices - origin, source.triangles, None if is_flat else source.normals)
         item = bpy.data.objects.new(part.name, mesh)
         item.matrix_world = terrain.root.matrix_world
-        collection.objects.link(item)
         if part.uvs is None:
+            link_collection(scene, f"{CONVERTED_NAME} {part.name}").objects.link(item)
             item.display_type, item.hide_render = "WIRE", True
         else:
+            collection.objects.link(item)
             write_uvs(mesh.uv_layers.new(name="UVMap", do_init=False), part.uvs)
             mesh.materials.append(material)
+        names.append(item.name)
+    if terrain.water is not None:
+        item = bpy.data.objects.new(f"{CONVERTED_NAME} Water", terrain.water.data.copy())
+        item.matrix_world = terrain.root.matrix_world
+        collection.objects.link(item)
         names.append(item.name)
     return tuple(names)
 

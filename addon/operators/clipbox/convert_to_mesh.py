@@ -9,6 +9,7 @@ from ...bridge.clipbox import objects as terrain_objects
 from ...bridge.clipbox import sources
 from ...bridge.clipbox.edits import read_edits
 from ...bridge.clipbox.objects import SceneTerrain
+from ...bridge.scatter import move_scatter
 from ...core.clipbox.engine import TerrainEngine
 from ...core.clipbox.settings import ConvertSettings
 from ...core.clipbox.to_mesh import ConvertedMesh, convert_to_meshes
@@ -54,6 +55,7 @@ class ConvertJob:
             raise GeometryError(f'The terrain "{self.terrain.name}" was removed during the conversion.')
         self.object_names = terrain_objects.add_converted_meshes(bpy.context.scene, self.terrain, core_result)
         if not self.settings.keep_terrain:
+            move_scatter(self.terrain, bpy.data.objects[self.object_names[0]].users_collection[0])
             terrain_objects.remove(self.terrain)
             cache.evict_missing()
         triangles = sum(len(part.mesh.triangles) for part in core_result)
