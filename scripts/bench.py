@@ -42,6 +42,7 @@ BENCHMARKS = {
         "bench_clipbox.py": "--only extraction --repeats 1",
         "bench_clipbox_images.py": "--only uniform",
         "bench_landscapes.py": "--only shape",
+        "bench_landscape_views.py": "--count 5",
     },
     "bdam": {"bench_bdam.py": "--only simplifier_alone --set tuning --size 257"},
     "texmesh": {"bench_texmesh.py": "--only refits --models spot"},
