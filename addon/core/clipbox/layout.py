@@ -5,6 +5,7 @@ contains the voxels 2 i and 2 i + 1 of level k. The visible part of a level is a
 next coarser level is therefore half hidden, and a box that is recentered with every voxel gets a new surface with every fourth voxel only.
 """
 
+import math
 from dataclasses import dataclass
 from itertools import product
 
@@ -14,6 +15,10 @@ from ..geometry.transforms import choose_origin
 from .settings import ClipboxSettings
 
 ALIGNMENT = 4  # voxels
+CENTER_STEPS = 2  # Positions of the viewer per voxel along an axis that smooth moves distinguish.
+RESOLUTION_PER_TRANSITION = 10  # Voxels along a side of a box per voxel of the transition of smooth moves at its ends, at least.
+BORDER_DEPTH = 3.5  # Voxels from the reach to the center of the second voxel at the border, the last one that a coarser level reads.
+FINER_DEPTH = 1.5  # Voxels from the border of a finer level to the center of the second voxel around it.
 MAX_SINGLE_PRECISION = 1.0e5  # voxels from the origin up to which single precision is accurate enough for vertices
 
 
@@ -52,11 +57,13 @@ class BoxLayout:
     """The boxes around a viewer.
 
     origins: (3,) int64 per level, the first voxel of each box. visible: visible part of each level, including the part that the next finer
-    level covers.
+    level covers. centers: (3,) int64 per level, the viewer in voxels / `CENTER_STEPS`, from whom transitions are measured; none if moves are
+    not smooth.
     """
 
     origins: list[np.ndarray]
     visible: list[IntBox]
+    centers: list[np.ndarray]
 
     def hole(self, level: int) -> IntBox | None:
         """Return the voxels of `level` that finer levels cover, None for the finest level."""
@@ -69,19 +76,50 @@ def box_slices(low: np.ndarray, high: np.ndarray) -> tuple[slice, ...]:
 
 
 def layout_around(viewer: np.ndarray, settings: ClipboxSettings) -> BoxLayout:
-    """Return the boxes around a viewer at (3,) float64 scene units. Boxes move in steps of `threshold` voxels."""
-    resolution, positions = settings.resolution, np.asarray(viewer, np.float64) / (settings.voxel_size * settings.threshold)
-    steps = [np.floor(positions / 2**level + 0.5 - 0.5 / settings.threshold).astype(np.int64) for level in range(settings.boxes)]
-    origins = [step * settings.threshold - resolution // 2 for step in steps]
-    visible = [
-        IntBox((origin + ALIGNMENT - 1) // ALIGNMENT * ALIGNMENT, (origin + resolution) // ALIGNMENT * ALIGNMENT) for origin in origins[:-1]
-    ]
-    return BoxLayout(origins, [*visible, IntBox(origins[-1], origins[-1] + resolution)])
+    """Return the boxes around a viewer at (3,) float64 scene units. Boxes move in steps of `threshold` voxels.
+
+    If moves are smooth, the visible part of each box follows the viewer more closely than the box, by the fewest voxels.
+    """
+    resolution, threshold = settings.resolution, settings.threshold
+    positions = [np.asarray(viewer, np.float64) / (settings.voxel_size * 2**level) for level in range(settings.boxes)]
+    centers = [np.floor(position * CENTER_STEPS + 0.5).astype(np.int64) for position in positions] if settings.has_smooth_moves else []
+    if centers:
+        positions = [center / CENTER_STEPS for center in centers]
+    steps = [np.floor(position / threshold + 0.5 - 0.5 / threshold).astype(np.int64) for position in positions]
+    origins = [step * threshold - resolution // 2 for step in steps]
+    if centers:
+        reach = int(CENTER_STEPS * visible_reach(settings))
+        visible = [IntBox(-((reach - center) // (2 * CENTER_STEPS)) * 2, (center + reach) // (2 * CENTER_STEPS) * 2) for center in centers[:-1]]
+    else:
+        visible = [
+            IntBox((origin + ALIGNMENT - 1) // ALIGNMENT * ALIGNMENT, (origin + resolution) // ALIGNMENT * ALIGNMENT)
+            for origin in origins[:-1]
+        ]
+    return BoxLayout(origins, [*visible, IntBox(origins[-1], origins[-1] + resolution)], centers)
+
+
+def visible_reach(settings: ClipboxSettings) -> float:
+    """Return the distance from the viewer, in voxels of a level, that its visible part does not exceed if moves are smooth.
+
+    Half a voxel more than a whole number: the two ends of a box then change one after the other, and those of the next coarser box between.
+    """
+    return math.floor(settings.resolution // 2 - settings.threshold / 2) - 0.5
+
+
+def transition_range(settings: ClipboxSettings) -> tuple[float, float]:
+    """Return the distances from the viewer, in voxels of a level, at which the transition of smooth moves starts and ends.
+
+    It ends before the border and starts after that of the next finer level. At a border, both levels therefore show the same densities.
+    """
+    reach = visible_reach(settings)
+    end = reach - BORDER_DEPTH
+    return max(reach / 2 + FINER_DEPTH, end - settings.resolution / RESOLUTION_PER_TRANSITION), end
 
 
 def is_same_layout(layout: BoxLayout, other: BoxLayout) -> bool:
-    """Return whether all boxes of two layouts have the same positions."""
-    return all(np.array_equal(origin, other_origin) for origin, other_origin in zip(layout.origins, other.origins, strict=True))
+    """Return whether all boxes of two layouts have the same positions, and transitions the same centers."""
+    pairs = zip(layout.origins + layout.centers, other.origins + other.centers, strict=True)
+    return all(np.array_equal(position, other_position) for position, other_position in pairs)
 
 
 def choose_terrain_origin(viewer: np.ndarray, settings: ClipboxSettings) -> np.ndarray:

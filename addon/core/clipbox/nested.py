@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..jobs.progress import Progress, Steps, subprogress
-from .layout import BoxLayout, IntBox, box_slices, is_same_layout, layout_around
+from .layout import BoxLayout, IntBox, box_slices, is_same_layout, layout_around, transition_range
 from .meshing import surface_nets
 from .meshing.case_table import DIRECTIONS, OCTANTS
 from .settings import ClipboxSettings
 from .terrains.generators import Sampler
 from .toroidal_grid import ToroidalGrid
-from .transitions import MAX_WIDTH, RESOLUTION_PER_WIDTH, Transition
+from .transitions import MAX_WIDTH, RESOLUTION_PER_WIDTH, BorderTransition, Transition, ViewerTransition
 
 # (6, 4, 3) octants around the lattice edge that leaves a corner in each direction
 EDGE_OCTANTS = np.array([OCTANTS[OCTANTS[:, axis] == high] for axis in range(3) for high in (0, 1)])
@@ -82,8 +82,11 @@ class NestedBoxes:
         """Return the transition from a level to the next coarser one; None for the outermost box, and for blocks, whose shape is exact."""
         if level == self.coarsest_level or self.settings.surface == "blocky":
             return None
+        visible, coarser = self.layout.visible[level], self.grid(level + 1)
+        if self.layout.centers:
+            return ViewerTransition.around(self.layout.centers[level], *transition_range(self.settings), visible, coarser)
         width = min(self.settings.resolution // RESOLUTION_PER_WIDTH, MAX_WIDTH)
-        return Transition(self.layout.visible[level], width, self.grid(level + 1))
+        return BorderTransition(visible, width, coarser)
 
     def window(self, level: int, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """Return the voxels `low` to `high` of a level.
