@@ -5,6 +5,7 @@ import pytest
 
 from clipbox_borders import count_walls
 from farfield.addon.core.clipbox.clearings import find_clearing
+from farfield.addon.core.clipbox.engine import TerrainEngine, weld
 from farfield.addon.core.clipbox.nested import NestedBoxes
 from farfield.addon.core.clipbox.settings import ClipboxSettings
 from farfield.addon.core.clipbox.terrains.generators import Sampler, build_sampler
@@ -30,8 +31,9 @@ def moved_boxes(sampler: Sampler, **changes) -> NestedBoxes:
     return boxes
 
 
-def test_a_tunnel_narrows_and_closes_before_the_border():
-    boxes = moved_boxes(Sampler("tunnel", tunnel_in_fine_boxes))
+@pytest.mark.parametrize("is_smooth", [True, False])
+def test_a_tunnel_narrows_and_closes_before_the_border(is_smooth):
+    boxes = moved_boxes(Sampler("tunnel", tunnel_in_fine_boxes), smooth_moves=is_smooth)
     visible = boxes.layout.visible[0]
     air = (boxes.window(0, visible.low, visible.high) <= 0).sum(axis=(1, 2))
     half = air[len(air) // 2 :]
@@ -39,9 +41,10 @@ def test_a_tunnel_narrows_and_closes_before_the_border():
     assert (np.diff(half) <= 0).all() and len(np.unique(half)) >= 4, "a rounded end, not a wall"
 
 
+@pytest.mark.parametrize("is_smooth", [True, False])
 @pytest.mark.parametrize("terrain", ["tunnel", "cascades", "spheres"])
-def test_no_box_ends_in_a_wall(terrain, monkeypatch):
-    source = settings(terrain="spheres" if terrain == "spheres" else "cascades", boxes=4, resolution=48)
+def test_no_box_ends_in_a_wall(terrain, is_smooth, monkeypatch):
+    source = settings(terrain="spheres" if terrain == "spheres" else "cascades", boxes=4, resolution=48, smooth_moves=is_smooth)
     sampler = Sampler("tunnel", tunnel_in_fine_boxes) if terrain == "tunnel" else build_sampler(source)
     viewers = [np.zeros(3) if terrain == "tunnel" else find_clearing(sampler, np.array([180.0, 40.0, -40.0]), 1.0)]
     assert sum(box["walls"] for box in count_walls(sampler, source, viewers)) == 0
@@ -75,3 +78,65 @@ def test_a_plane_stays_a_plane():
     exact = 0.5 * grid.coordinates()[0] + 0.25 * grid.coordinates()[1] - grid.coordinates()[2]
     near = np.abs(exact) < 1.5
     assert np.abs(window.astype(np.float32) - exact)[near].max() < 2e-3
+
+
+DETAIL_HEIGHT = 2.0
+
+
+def plain_with_detail(grid: Grid) -> np.ndarray:
+    """Level ground, which boxes with voxels of 1 show higher."""
+    return (DETAIL_HEIGHT if grid.voxel_size < 1.5 else 0.0) - grid.coordinates()[2]
+
+
+def shown_heights(place: float, viewers: np.ndarray, **changes) -> np.ndarray:
+    """Return how high the ground is shown at x = `place` around each of the viewers at x = `viewers` (N,), as sampled densities say."""
+    boxes, heights = NestedBoxes(Sampler("plain", plain_with_detail), settings(boxes=2, **changes)), []
+    for viewer in viewers:
+        run_to_end(boxes.move(np.array([viewer, 0.0, 0.0])))
+        level = 0 if boxes.layout.visible[0].contains(np.array([place, 0, 0])) else 1
+        low = np.array([place // 2**level, 0, -8])
+        column = boxes.window(level, low, low + [1, 1, 16])[0, 0].astype(np.float64)
+        last = int(np.flatnonzero(column > 0)[-1])
+        heights.append((low[2] + last + 0.5 + column[last] / (column[last] - column[last + 1])) * 2**level)
+    return np.array(heights)
+
+
+@pytest.mark.parametrize("threshold", [1, 4])
+def test_ground_changes_little_by_little_while_the_viewer_comes_nearer(threshold):
+    viewers = np.arange(0.0, 40.0, 0.5)
+    smooth, stepped = (shown_heights(40, viewers, threshold=threshold, smooth_moves=is_smooth) for is_smooth in (True, False))
+    for heights in (smooth, stepped):
+        assert heights[0] == pytest.approx(0.0, abs=1e-2) and heights[-1] == pytest.approx(DETAIL_HEIGHT, abs=1e-2)
+    assert (np.diff(smooth) >= -1e-2).all() and np.diff(smooth).max() < 0.1 * DETAIL_HEIGHT
+    assert np.diff(stepped).max() > 0.9 * DETAIL_HEIGHT
+
+
+@pytest.mark.parametrize(("resolution", "threshold"), [(32, 4), (33, 1), (64, 1), (64, 8)])
+def test_a_transition_ends_before_the_border_wherever_the_viewer_is(resolution, threshold):
+    source = settings(boxes=2, resolution=resolution, threshold=threshold)
+    boxes = NestedBoxes(Sampler("plain", plain_with_detail), source)
+    for viewer in np.random.default_rng(1).uniform(-20.0, 20.0, (10, 3)) * [1.0, 1.0, 0.1]:
+        run_to_end(boxes.move(viewer))
+        low, high = boxes.layout.visible[0].low, boxes.layout.visible[0].high
+        window = boxes.window(0, low, high).astype(np.float64)
+        heights = np.broadcast_to((np.arange(low[2], high[2]) + 0.5)[None, None], window.shape)
+        coarse, fine = (np.isclose(window, height - heights, atol=1e-2) for height in (0.0, DETAIL_HEIGHT))
+        inner = np.zeros(window.shape, bool)
+        inner[2:-2, 2:-2, 2:-2] = True
+        assert coarse[~inner].all(), "the two outermost voxels on each side"
+        assert fine[tuple(slice(side // 2 - 3, side // 2 + 3) for side in window.shape)].all()
+
+
+def test_steep_densities_are_as_accurate_as_others():
+    formula = "40*(0.37*x - 0.2*y + 3.1 - z)"
+    mesh = weld(list(run_to_end(TerrainEngine(settings(terrain="formula", formula=formula)).move(np.zeros(3))).meshes.values()))
+    distance = np.abs(mesh.vertices @ [0.37, -0.2, -1.0] + 3.1)
+    assert distance[np.abs(mesh.vertices).max(axis=1) < 100.0].max() < 0.25 and np.median(distance) < 5e-3
+
+
+def test_windows_without_a_surface_are_known_to_have_none(monkeypatch):
+    engine, other = TerrainEngine(settings()), TerrainEngine(settings())
+    monkeypatch.setattr(other.boxes, "has_one_sign", lambda *_: False)
+    for x in (0.0, 0.5, 1.0, 9.0):
+        meshes, expected = (run_to_end(moved.move(np.array([x, 0.0, 0.0]))).meshes for moved in (engine, other))
+        assert set(meshes) == set(expected) and all(mesh.vertices.tobytes() == expected[key].vertices.tobytes() for key, mesh in meshes.items())

@@ -181,6 +181,8 @@ def _stack_windows(boxes: NestedBoxes, level: int, blocks: list[BlockIndex], sid
     margin, windows = _margin(boxes, level), []
     for block in blocks:
         low = np.array(block, np.int64) * side - margin
+        if boxes.has_one_sign(level, low, low + side + 2 * margin):
+            continue
         values = boxes.window(level, low, low + side + 2 * margin)
         solid = surface_nets.is_solid(values)
         if solid.any() and not solid.all():

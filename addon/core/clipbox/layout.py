@@ -15,6 +15,8 @@ from ..geometry.transforms import choose_origin
 from .settings import ClipboxSettings
 
 ALIGNMENT = 4  # voxels
+SMOOTH_ALIGNMENT = 2  # Voxels to which it is aligned if moves are smooth.
+REACH_FRACTION = 0.35  # Of a voxel, between the ends of boxes and the viewer: no two of them then change together, nor with a transition.
 CENTER_STEPS = 2  # Positions of the viewer per voxel along an axis that smooth moves distinguish.
 RESOLUTION_PER_TRANSITION = 10  # Voxels along a side of a box per voxel of the transition of smooth moves at its ends, at least.
 BORDER_DEPTH = 3.5  # Voxels from the reach to the center of the second voxel at the border, the last one that a coarser level reads.
@@ -82,28 +84,25 @@ def layout_around(viewer: np.ndarray, settings: ClipboxSettings) -> BoxLayout:
     """
     resolution, threshold = settings.resolution, settings.threshold
     positions = [np.asarray(viewer, np.float64) / (settings.voxel_size * 2**level) for level in range(settings.boxes)]
-    centers = [np.floor(position * CENTER_STEPS + 0.5).astype(np.int64) for position in positions] if settings.has_smooth_moves else []
-    if centers:
-        positions = [center / CENTER_STEPS for center in centers]
     steps = [np.floor(position / threshold + 0.5 - 0.5 / threshold).astype(np.int64) for position in positions]
     origins = [step * threshold - resolution // 2 for step in steps]
-    if centers:
-        reach = int(CENTER_STEPS * visible_reach(settings))
-        visible = [IntBox(-((reach - center) // (2 * CENTER_STEPS)) * 2, (center + reach) // (2 * CENTER_STEPS) * 2) for center in centers[:-1]]
+    if settings.has_smooth_moves:
+        reach = visible_reach(settings)
+        visible = [_align(position - reach, position + reach, SMOOTH_ALIGNMENT) for position in positions[:-1]]
+        centers = [np.floor(position * CENTER_STEPS + 0.5).astype(np.int64) for position in positions[:-1]]
     else:
-        visible = [
-            IntBox((origin + ALIGNMENT - 1) // ALIGNMENT * ALIGNMENT, (origin + resolution) // ALIGNMENT * ALIGNMENT)
-            for origin in origins[:-1]
-        ]
+        visible, centers = [_align(origin, origin + resolution, ALIGNMENT) for origin in origins[:-1]], []
     return BoxLayout(origins, [*visible, IntBox(origins[-1], origins[-1] + resolution)], centers)
 
 
-def visible_reach(settings: ClipboxSettings) -> float:
-    """Return the distance from the viewer, in voxels of a level, that its visible part does not exceed if moves are smooth.
+def _align(low: np.ndarray, high: np.ndarray, alignment: int) -> IntBox:
+    """Return the largest box between `low` and `high` (3,) that is aligned to multiples of some voxels."""
+    return IntBox(*(rounded(end / alignment).astype(np.int64) * alignment for rounded, end in ((np.ceil, low), (np.floor, high))))
 
-    Half a voxel more than a whole number: the two ends of a box then change one after the other, and those of the next coarser box between.
-    """
-    return math.floor(settings.resolution // 2 - settings.threshold / 2) - 0.5
+
+def visible_reach(settings: ClipboxSettings) -> float:
+    """Return the distance from the viewer, in voxels of a level, that its visible part does not exceed if moves are smooth."""
+    return math.floor(settings.resolution // 2 - settings.threshold / 2 - 0.5 - REACH_FRACTION) + REACH_FRACTION
 
 
 def transition_range(settings: ClipboxSettings) -> tuple[float, float]:
@@ -118,8 +117,14 @@ def transition_range(settings: ClipboxSettings) -> tuple[float, float]:
 
 def is_same_layout(layout: BoxLayout, other: BoxLayout) -> bool:
     """Return whether all boxes of two layouts have the same positions, and transitions the same centers."""
-    pairs = zip(layout.origins + layout.centers, other.origins + other.centers, strict=True)
-    return all(np.array_equal(position, other_position) for position, other_position in pairs)
+    return all(
+        np.array_equal(position, other_position)
+        for position, other_position in zip(_positions(layout), _positions(other), strict=True)
+    )
+
+
+def _positions(layout: BoxLayout) -> list[np.ndarray]:
+    return [*layout.origins, *layout.centers, *(end for box in layout.visible for end in (box.low, box.high))]
 
 
 def choose_terrain_origin(viewer: np.ndarray, settings: ClipboxSettings) -> np.ndarray:

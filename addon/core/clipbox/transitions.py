@@ -7,7 +7,7 @@ Losasso and Hoppe, Geometry Clipmaps, 2004, section 4.3.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -36,7 +36,7 @@ class Transition:
     width: float
     coarser: ToroidalGrid
 
-    @property
+    @cached_property
     def unblended(self) -> IntBox:
         """The voxels that it leaves as they are."""
         raise NotImplementedError
@@ -118,7 +118,7 @@ class Transition:
 class BorderTransition(Transition):
     """A transition by the distance from the border of the box, with which it moves in steps. Detail stays."""
 
-    @property
+    @cached_property
     def unblended(self) -> IntBox:
         """The voxels that it leaves as they are."""
         return IntBox(self.visible.low + self.width, self.visible.high - self.width)
@@ -160,7 +160,7 @@ class ViewerTransition(Transition):
         """Return a transition from the distance `start` on."""
         return cls(visible, end - start, coarser, center, end)
 
-    @property
+    @cached_property
     def unblended(self) -> IntBox:
         """The voxels that it leaves as they are."""
         position, start = self.center / CENTER_STEPS, self.end - self.width
