@@ -255,3 +255,39 @@ def test_subdivided_boxes_have_finer_faces_and_only_new_vertices_are_displaced()
     assert distances.max() <= 0.5 + 1e-9 and (distances == 0.0).mean() > 0.3 and (distances > 0.0).mean() > 0.1
     lengths = np.linalg.norm(np.diff(flat.vertices[directed_edges(flat.triangles)], axis=1)[:, 0], axis=1)
     assert lengths.min() < 1.5 and len(sampled.boxes.grids) == 3
+
+
+def test_ground_next_to_the_viewer_is_subdivided_in_large_boxes():
+    """Boxes are so large that whole blocks lie in the subdivided one."""
+    source = ClipboxSettings(terrain="formula", formula="-z", resolution=128, boxes=2, subdivided_boxes=1)
+    mesh = weld(list(run_to_end(TerrainEngine(source).move(np.zeros(3))).meshes.values()))
+    ends = mesh.vertices[open_edges(mesh.triangles)]
+    assert (np.abs(ends).max(axis=2) == 128.0).all()
+
+
+class TestQuickMoves:
+    """Boxes that a fast viewer leaves are not shown."""
+
+    @pytest.mark.parametrize(("travel", "left_out"), [(0.0, 0), (15.9, 0), (16.1, 1), (33.0, 2), (1e9, 2)])
+    def test_boxes_that_the_viewer_leaves_are_left_out(self, travel, left_out):
+        engine = TerrainEngine(small())
+        update = run_to_end(engine.move_quickly(np.array([1.0, 2.0, 3.0]), travel))
+        assert update.left_out == left_out and min(level for level, _ in update.meshes) == left_out
+        assert engine.is_settled_at(np.array([1.0, 2.0, 3.0])) == (left_out == 0)
+        check_closed(engine, list(update.meshes.values()))
+
+    @pytest.mark.parametrize("is_smooth", [True, False])
+    def test_they_come_back_as_if_they_had_never_been_left_out(self, is_smooth):
+        variant = {"smooth_moves": is_smooth}
+        (engine, first), shown = build(variant, (0.0, 0.0, 5.0)), {}
+        shown = dict(first.meshes)
+        for position, travel in (((9.0, 0.0, 5.0), 20.0), ((30.0, 4.0, 5.0), 40.0), ((41.0, 4.0, 5.0), 20.0), ((41.0, 4.0, 5.0), 0.0)):
+            update = run_to_end(engine.move_quickly(np.array(position), travel))
+            shown = {key: mesh for key, mesh in shown.items() if key not in update.removed} | update.meshes
+            check_closed(engine, list(shown.values()))
+        _, fresh = build(variant, (41.0, 4.0, 5.0))
+        assert set(shown) == set(fresh.meshes)
+        assert all(shown[key].vertices.tobytes() == mesh.vertices.tobytes() for key, mesh in fresh.meshes.items())
+
+    def test_subdivided_boxes_are_never_left_out(self):
+        assert run_to_end(TerrainEngine(small(subdivided_boxes=1)).move_quickly(np.zeros(3), 1e9)).left_out == 0

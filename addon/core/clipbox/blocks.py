@@ -76,7 +76,7 @@ def compute_signatures(boxes: NestedBoxes, level: int, blocks: list[BlockIndex],
         if (transition := boxes.transition(outer_level)) is not None:
             scale = 1 << (outer_level - level)
             bounds.append(transition.bounds(low // scale, -(-high // scale)))
-    if level == boxes.finest_level:
+    if level == boxes.finest_level:  # Its surface is subdivided in finer boxes, if there are some.
         for finer_level in range(boxes.finest_level):
             scale, finer = 1 << (level - finer_level), boxes.layout.visible[finer_level]
             overlaps = (_clip_bounds(IntBox(finer.low // scale, -(-finer.high // scale)), low, high) != 0).any(axis=1)

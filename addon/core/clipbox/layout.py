@@ -60,16 +60,17 @@ class BoxLayout:
 
     origins: (3,) int64 per level, the first voxel of each box. visible: visible part of each level, including the part that the next finer
     level covers. centers: (3,) int64 per level, the viewer in voxels / `CENTER_STEPS`, from whom transitions are measured; none if moves are
-    not smooth.
+    not smooth. first_level: the finest level with voxels that is shown.
     """
 
     origins: list[np.ndarray]
     visible: list[IntBox]
     centers: list[np.ndarray]
+    first_level: int
 
     def hole(self, level: int) -> IntBox | None:
-        """Return the voxels of `level` that finer levels cover, None for the finest level."""
-        return IntBox(self.visible[level - 1].low // 2, self.visible[level - 1].high // 2) if level else None
+        """Return the voxels of `level` that finer voxels replace, None if none do."""
+        return IntBox(self.visible[level - 1].low // 2, self.visible[level - 1].high // 2) if level > self.first_level else None
 
 
 def box_slices(low: np.ndarray, high: np.ndarray) -> tuple[slice, ...]:
@@ -77,10 +78,11 @@ def box_slices(low: np.ndarray, high: np.ndarray) -> tuple[slice, ...]:
     return tuple(slice(*span) for span in zip(low.tolist(), high.tolist(), strict=True))
 
 
-def layout_around(viewer: np.ndarray, settings: ClipboxSettings) -> BoxLayout:
+def layout_around(viewer: np.ndarray, settings: ClipboxSettings, travel: float = 0.0) -> BoxLayout:
     """Return the boxes around a viewer at (3,) float64 scene units. Boxes move in steps of `threshold` voxels.
 
-    If moves are smooth, the visible part of each box follows the viewer more closely than the box, by the fewest voxels.
+    If moves are smooth, the visible part of each box follows the viewer more closely than the box, by the fewest voxels. Boxes that the
+    viewer leaves on a path of the length `travel`, scene units, are not shown, except for the outermost one, and of subdivided boxes.
     """
     resolution, threshold = settings.resolution, settings.threshold
     positions = [np.asarray(viewer, np.float64) / (settings.voxel_size * 2**level) for level in range(settings.boxes)]
@@ -92,7 +94,10 @@ def layout_around(viewer: np.ndarray, settings: ClipboxSettings) -> BoxLayout:
         centers = [np.floor(position * CENTER_STEPS + 0.5).astype(np.int64) for position in positions[:-1]]
     else:
         visible, centers = [_align(origin, origin + resolution, ALIGNMENT) for origin in origins[:-1]], []
-    return BoxLayout(origins, [*visible, IntBox(origins[-1], origins[-1] + resolution)], centers)
+    first_level = settings.subdivided_boxes
+    while not settings.subdivided_boxes and first_level < settings.boxes - 1 and travel > 0.5 * settings.extent_of(first_level):
+        first_level += 1
+    return BoxLayout(origins, [*visible, IntBox(origins[-1], origins[-1] + resolution)], centers, first_level)
 
 
 def _align(low: np.ndarray, high: np.ndarray, alignment: int) -> IntBox:
@@ -116,8 +121,8 @@ def transition_range(settings: ClipboxSettings) -> tuple[float, float]:
 
 
 def is_same_layout(layout: BoxLayout, other: BoxLayout) -> bool:
-    """Return whether all boxes of two layouts have the same positions, and transitions the same centers."""
-    return all(
+    """Return whether two layouts show the same boxes at the same positions, and transitions have the same centers."""
+    return layout.first_level == other.first_level and all(
         np.array_equal(position, other_position)
         for position, other_position in zip(_positions(layout), _positions(other), strict=True)
     )

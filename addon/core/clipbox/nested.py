@@ -60,26 +60,27 @@ class NestedBoxes:
         """Return the voxels of a level."""
         return self.grids[level - self.finest_level]
 
-    def move(self, viewer: np.ndarray) -> Steps[None]:
-        """Center the boxes on a viewer at (3,) scene units. If it is cancelled or fails, it can be called again."""
-        layout = self._layout_around(viewer)
+    def move(self, viewer: np.ndarray, travel: float = 0.0) -> Steps[None]:
+        """Center the boxes on a viewer at (3,) scene units. If it is cancelled or fails, it can be called again.
+
+        travel: see `layout_around`. Boxes that are not shown stay where they are.
+        """
+        layout = layout_around(viewer, self.settings, travel)
         self.layout = None
-        for index, grid in enumerate(self.grids):
-            steps = grid.move(layout.origins[self.finest_level + index])
-            yield from subprogress(steps, index / len(self.grids), (index + 1) / len(self.grids))
+        levels = range(layout.first_level, self.settings.boxes)
+        for index, level in enumerate(levels):
+            steps = self.grid(level).move(layout.origins[level])
+            yield from subprogress(steps, index / len(levels), (index + 1) / len(levels))
         self.layout, self._transitions = layout, {}
         yield Progress(1.0, "Computing voxels")
 
     def is_centered_on(self, viewer: np.ndarray) -> bool:
         """Return whether a move to a viewer at (3,) would change nothing."""
-        return self.layout is not None and is_same_layout(self.layout, self._layout_around(viewer))
-
-    def _layout_around(self, viewer: np.ndarray) -> BoxLayout:
-        return layout_around(viewer, self.settings)
+        return self.layout is not None and is_same_layout(self.layout, layout_around(viewer, self.settings))
 
     def hole(self, level: int) -> IntBox | None:
         """Return the voxels of `level` that finer voxels replace."""
-        return self.layout.hole(level) if level > self.finest_level else None
+        return self.layout.hole(level)
 
     def transition(self, level: int) -> Transition | None:
         """Return the transition from a level to the next coarser one; None for the outermost box, and for blocks, whose shape is exact."""

@@ -132,7 +132,11 @@ class ClipboxSettings(Settings):
     @property
     def extent(self) -> float:
         """Side of the outermost box, scene units."""
-        return self.voxel_size * self.resolution * 2 ** (self.boxes - 1)
+        return self.extent_of(self.boxes - 1)
+
+    def extent_of(self, level: int) -> float:
+        """Return the side of a box, 0 for the innermost one, scene units."""
+        return self.voxel_size * self.resolution * 2**level
 
     @property
     def has_smooth_moves(self) -> bool:
