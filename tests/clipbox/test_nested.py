@@ -192,7 +192,7 @@ class TestMoves:
     @pytest.mark.parametrize("is_smooth", [True, False])
     def test_a_move_within_the_same_voxel_changes_nothing(self, is_smooth):
         engine, _ = build({"smooth_moves": is_smooth}, (0.0, 0.0, 9.0))
-        update = run_to_end(engine.move(np.array([0.2, 0.1, 9.2])))
+        update = run_to_end(engine.move(np.array([0.1, 0.1, 9.1])))
         assert not update.meshes and not update.removed and not update.is_complete
         assert engine.is_settled_at(np.array([0.1, 0.0, 9.1])) and not engine.is_settled_at(np.array([1.4, 0.0, 9.0]))
         assert engine.is_settled_at(np.array([0.6, 0.0, 9.0])) != is_smooth

@@ -6,10 +6,12 @@ import pytest
 from clipbox_borders import count_walls
 from farfield.addon.core.clipbox.clearings import find_clearing
 from farfield.addon.core.clipbox.engine import TerrainEngine, weld
+from farfield.addon.core.clipbox.morphing import morph_vertices
 from farfield.addon.core.clipbox.nested import NestedBoxes
 from farfield.addon.core.clipbox.settings import ClipboxSettings
 from farfield.addon.core.clipbox.terrains.generators import Sampler, build_sampler
 from farfield.addon.core.clipbox.terrains.grids import Grid
+from farfield.addon.core.clipbox.toroidal_grid import ToroidalGrid
 from farfield.addon.core.jobs.progress import run_to_end
 
 TUNNEL_RADIUS = 4.0
@@ -140,3 +142,41 @@ def test_windows_without_a_surface_are_known_to_have_none(monkeypatch):
     for x in (0.0, 0.5, 1.0, 9.0):
         meshes, expected = (run_to_end(moved.move(np.array([x, 0.0, 0.0]))).meshes for moved in (engine, other))
         assert set(meshes) == set(expected) and all(mesh.vertices.tobytes() == expected[key].vertices.tobytes() for key, mesh in meshes.items())
+
+
+def test_vertices_at_the_border_are_those_of_the_coarser_box():
+    """Where the coarser box takes the place of the finer one, its vertices are at the same corners already."""
+    source = settings(terrain="formula", formula="6*sin(x/9)*sin(y/7) - z", boxes=2)
+    before, after = (run_to_end(TerrainEngine(source).move(np.array([x, 0.0, 0.0]))).meshes for x in (0.3, 1.5))
+    fine, coarse = (
+        {tuple(corner): (vertex, normal) for mesh in meshes for corner, vertex, normal in zip(mesh.corners.tolist(), mesh.vertices, mesh.normals)}
+        for meshes in (
+            [mesh for (level, _), mesh in before.items() if level == 0],
+            [mesh for (level, _), mesh in after.items() if level == 1],
+        )
+    )
+    left = min(corner[0] for corner in fine)
+    border = [corner for corner in coarse if corner in fine and left <= corner[0] < left + 2 and abs(corner[1]) < 20]
+    assert len(border) > 15
+    for corner in border:
+        assert np.allclose(fine[corner][0], coarse[corner][0], atol=1e-5) and np.allclose(fine[corner][1], coarse[corner][1], atol=1e-5)
+
+
+def test_a_vertex_without_a_coarser_one_stays():
+    grid = ToroidalGrid(8, 2.0, lambda grid: np.ones(grid.shape, np.float16))
+    run_to_end(grid.move(np.full(3, -4)))
+    offsets, normals = np.full((1, 3), 0.25, np.float32), np.array([[0.0, 0.0, 1.0]], np.float32)
+    moved = morph_vertices(np.array([[1, 2, 1]]), np.ones(1, np.float32), grid, offsets, normals)
+    assert np.array_equal(moved[0], offsets) and np.array_equal(moved[1], normals)
+
+
+def test_vertices_go_to_the_mean_of_the_coarser_ones_around_them():
+    """The coarser voxels are solid below z = 1, in units of the finer ones, so that their vertices lie there."""
+    grid = ToroidalGrid(8, 2.0, lambda grid: np.broadcast_to(1.0 - grid.coordinates()[2], grid.shape).astype(np.float16))
+    run_to_end(grid.move(np.full(3, -4)))
+    corners, offsets = np.array([[0, 0, 0], [1, 2, 0], [1, 1, 1]]), np.full((3, 3), 0.25, np.float32)
+    for weight in (0.5, 1.0):
+        weights = np.full(3, weight, np.float32)
+        moved, normals = morph_vertices(corners, weights, grid, offsets, np.tile(np.float32([0.0, 0.0, 1.0]), (3, 1)))
+        targets = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
+        assert np.allclose(moved, offsets + weight * (targets - offsets), atol=1e-6) and np.allclose(normals, [0.0, 0.0, 1.0])

@@ -17,8 +17,8 @@ from .settings import ClipboxSettings
 ALIGNMENT = 4  # voxels
 SMOOTH_ALIGNMENT = 2  # Voxels to which it is aligned if moves are smooth.
 REACH_FRACTION = 0.35  # Of a voxel, between the ends of boxes and the viewer: no two of them then change together, nor with a transition.
-CENTER_STEPS = 2  # Positions of the viewer per voxel along an axis that smooth moves distinguish.
-RESOLUTION_PER_TRANSITION = 10  # Voxels along a side of a box per voxel of the transition of smooth moves at its ends, at least.
+CENTER_STEPS = 4  # Positions of the viewer per voxel along an axis that smooth moves distinguish.
+RESOLUTION_PER_TRANSITION = 8  # Voxels along a side of a box per voxel of the transition of smooth moves at its ends, at least.
 BORDER_DEPTH = 3.5  # Voxels from the reach to the center of the second voxel at the border, the last one that a coarser level reads.
 FINER_DEPTH = 1.5  # Voxels from the border of a finer level to the center of the second voxel around it.
 MAX_SINGLE_PRECISION = 1.0e5  # voxels from the origin up to which single precision is accurate enough for vertices

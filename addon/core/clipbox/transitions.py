@@ -19,6 +19,7 @@ from .toroidal_grid import ToroidalGrid
 RESOLUTION_PER_WIDTH, MAX_WIDTH = 8, 8  # Voxels along a side of a box per voxel of the transition at its ends, and the most of these.
 NEAR, FAR = np.float32(0.75), np.float32(0.25)  # The weights of the two coarser voxels along an axis whose centers surround a voxel.
 MAX_DETAIL = 2.0  # Voxels by which densities may differ from coarser ones even at the border, where they would change with every move.
+DENSITY_MARGIN, VERTEX_WIDTH = 0.3, 0.6  # Of a transition, where densities have changed at its end, and where vertices change.
 MAX_DENSITY = 4.0  # Voxels to which densities are limited before they are blended. The closer to 0, the more slowly caves close.
 
 
@@ -80,7 +81,7 @@ class Transition:
         """Return the blended densities of `voxels` (..., 3), whose own densities are `values` (...) float16. Hidden ones stay."""
         x, y, z = (self._distances(voxels[..., axis], axis) for axis in range(3))
         distances = np.minimum(np.minimum(x, y), z)
-        rows = np.nonzero((distances < self.width) & self.visible.contains(voxels))
+        rows = np.nonzero((distances < self._density_width) & self.visible.contains(voxels))
         if len(rows[0]) == 0:
             return values
         chosen = voxels[rows]
@@ -105,8 +106,13 @@ class Transition:
 
     def _weights(self, distances: np.ndarray) -> np.ndarray:
         """Return the weights of the coarser densities: 1 where the transition ends."""
-        weights = np.float32(1.0) - distances.astype(np.float32) * np.float32(1.0 / self.width)
+        weights = np.float32(1.0) - distances.astype(np.float32) * np.float32(1.0 / self._density_width)
         return np.clip(weights, np.float32(0.0), np.float32(1.0), out=weights)
+
+    @property
+    def _density_width(self) -> float:
+        """Width of the transition of densities, voxels."""
+        return self.width
 
     @property
     def _limit(self) -> np.float32:
@@ -176,12 +182,22 @@ class ViewerTransition(Transition):
         is_relevant = (farthest > self.end - self.width) & ~is_complete & (first < last).all(axis=1, keepdims=True)
         return np.concatenate([np.where(is_relevant, 2 * self.center + 1, 0), is_complete], axis=1)
 
+    @property
+    def _density_width(self) -> float:
+        return (1.0 - DENSITY_MARGIN) * self.width
+
     def _offsets(self, voxels: np.ndarray, axis: int | slice) -> np.ndarray:
         """Return where the centers of `voxels` are relative to the viewer along an axis, voxels."""
         return (2 * CENTER_STEPS * voxels + CENTER_STEPS - 2 * self.center[axis]) / (2.0 * CENTER_STEPS)
 
     def _distances(self, voxels: np.ndarray, axis: int) -> np.ndarray:
-        return self.end - np.abs(self._offsets(voxels, axis))
+        return self.end - DENSITY_MARGIN * self.width - np.abs(self._offsets(voxels, axis))
+
+    def vertex_weights(self, corners: np.ndarray) -> np.ndarray:
+        """Return how far the vertices at `corners` (V, 3) have gone to the surface of the coarser level, (V,) float32 from 0 to 1."""
+        distances = np.abs(CENTER_STEPS * corners - self.center).max(axis=1).astype(np.float32) * np.float32(1.0 / CENTER_STEPS)
+        start = np.float32(self.end - VERTEX_WIDTH * self.width)
+        return np.clip((distances - start) * np.float32(1.0 / (self.end - start)), np.float32(0.0), np.float32(1.0))
 
     def _blend(self, values: np.ndarray, coarse: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Return blended densities. Where one is solid and the other air, the surface passes when the limited ones balance."""
