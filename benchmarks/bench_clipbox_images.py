@@ -11,7 +11,6 @@ import sys
 from argparse import Namespace
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +71,9 @@ def build_parser() -> command_line.Parser:
     parser.add_argument("--viewers", nargs="+", choices=list(VIEWERS), default=list(VIEWERS), help="viewer positions")
     parser.add_argument("--views", type=int, default=4, help="random views of the part moves")
     parser.add_argument("--seed", type=int, default=1, help="random seed of these views")
-    parser.add_argument("--sheet", type=Path, help="a PNG file for the renders of the first viewer and their wrong pixels; its name begins those of moves")
+    parser.add_argument(
+        "--sheet", type=Path, help="a PNG file for the renders of the first viewer and their wrong pixels; its name begins those of moves"
+    )
     return parser
 
 
@@ -127,8 +128,8 @@ def uniform(given: Namespace) -> dict[str, Any]:
 
 
 def moves(given: Namespace) -> dict[str, Any]:
-    """Measure FLIP between two frames of a camera that stays, before and after the border of a box that it looks at moves on, for each box in
-    random views.
+    """Measure FLIP between two frames of a camera that stays, before and after the border of a box in front of it moves on, for each box
+    in random views.
 
     The camera is where the viewer is. Whatever else moves at the same time counts as well.
     """
@@ -137,8 +138,8 @@ def moves(given: Namespace) -> dict[str, Any]:
         settings = ClipboxSettings(terrain=given.terrain, boxes=BOXES, smooth_moves=smooth_moves)
         sampler, random, views = build_sampler(settings), np.random.default_rng(given.seed), []
         for index in range(given.views):
-            ground, heading, slope = random.uniform(-2_000.0, 2_000.0, 2), random.uniform(0.0, 2.0 * np.pi), random.uniform(*DOWNWARD)
-            height, direction, flips = random.uniform(0.0, MAX_HEIGHT), np.array([np.cos(heading), np.sin(heading), slope]), []
+            ground, heading, pitch = random.uniform(-2_000.0, 2_000.0, 2), random.uniform(0.0, 2.0 * np.pi), random.uniform(*DOWNWARD)
+            height, direction, flips = random.uniform(0.0, MAX_HEIGHT), np.array([np.cos(heading), np.sin(heading), pitch]), []
             for level in range(BOXES - 1):
                 viewers = find_move(settings, ground, level, direction)
                 position = find_clearing(sampler, np.array([*viewers[0], LOWEST]), settings.voxel_size) + [0.0, 0.0, height]

@@ -279,7 +279,7 @@ class TestQuickMoves:
     @pytest.mark.parametrize("is_smooth", [True, False])
     def test_they_come_back_as_if_they_had_never_been_left_out(self, is_smooth):
         variant = {"smooth_moves": is_smooth}
-        (engine, first), shown = build(variant, (0.0, 0.0, 5.0)), {}
+        engine, first = build(variant, (0.0, 0.0, 5.0))
         shown = dict(first.meshes)
         for position, travel in (((9.0, 0.0, 5.0), 20.0), ((30.0, 4.0, 5.0), 40.0), ((41.0, 4.0, 5.0), 20.0), ((41.0, 4.0, 5.0), 0.0)):
             update = run_to_end(engine.move_quickly(np.array(position), travel))

@@ -141,7 +141,9 @@ def test_windows_without_a_surface_are_known_to_have_none(monkeypatch):
     monkeypatch.setattr(other.boxes, "has_one_sign", lambda *_: False)
     for x in (0.0, 0.5, 1.0, 9.0):
         meshes, expected = (run_to_end(moved.move(np.array([x, 0.0, 0.0]))).meshes for moved in (engine, other))
-        assert set(meshes) == set(expected) and all(mesh.vertices.tobytes() == expected[key].vertices.tobytes() for key, mesh in meshes.items())
+        assert set(meshes) == set(expected) and all(
+            mesh.vertices.tobytes() == expected[key].vertices.tobytes() for key, mesh in meshes.items()
+        )
 
 
 def test_vertices_at_the_border_are_those_of_the_coarser_box():
@@ -149,7 +151,11 @@ def test_vertices_at_the_border_are_those_of_the_coarser_box():
     source = settings(terrain="formula", formula="6*sin(x/9)*sin(y/7) - z", boxes=2)
     before, after = (run_to_end(TerrainEngine(source).move(np.array([x, 0.0, 0.0]))).meshes for x in (0.3, 1.5))
     fine, coarse = (
-        {tuple(corner): (vertex, normal) for mesh in meshes for corner, vertex, normal in zip(mesh.corners.tolist(), mesh.vertices, mesh.normals)}
+        {
+            tuple(corner): (vertex, normal)
+            for mesh in meshes
+            for corner, vertex, normal in zip(mesh.corners.tolist(), mesh.vertices, mesh.normals, strict=True)
+        }
         for meshes in (
             [mesh for (level, _), mesh in before.items() if level == 0],
             [mesh for (level, _), mesh in after.items() if level == 1],

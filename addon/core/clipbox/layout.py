@@ -59,8 +59,8 @@ class BoxLayout:
     """The boxes around a viewer.
 
     origins: (3,) int64 per level, the first voxel of each box. visible: visible part of each level, including the part that the next finer
-    level covers. centers: (3,) int64 per level, the viewer in voxels / `CENTER_STEPS`, from whom transitions are measured; none if moves are
-    not smooth. first_level: the finest level with voxels that is shown.
+    level covers. centers: (3,) int64 per level, the viewer in voxels / `CENTER_STEPS`, from whom transitions are measured; none if moves
+    are not smooth. first_level: the finest level with voxels that is shown.
     """
 
     origins: list[np.ndarray]
@@ -123,8 +123,7 @@ def transition_range(settings: ClipboxSettings) -> tuple[float, float]:
 def is_same_layout(layout: BoxLayout, other: BoxLayout) -> bool:
     """Return whether two layouts show the same boxes at the same positions, and transitions have the same centers."""
     return layout.first_level == other.first_level and all(
-        np.array_equal(position, other_position)
-        for position, other_position in zip(_positions(layout), _positions(other), strict=True)
+        np.array_equal(position, other_position) for position, other_position in zip(_positions(layout), _positions(other), strict=True)
     )
 
 
