@@ -139,7 +139,7 @@ class TestObjects:
     @staticmethod
     def update(terrain):
         bpy.context.view_layer.objects.active = terrain.root
-        assert bpy.ops.farfield.clipbox_update(terrain="formula", formula="-z", boxes=3, resolution=32) == {"FINISHED"}
+        assert bpy.ops.farfield.clipbox_update(terrain="formula", formula="-z", boxes=3, resolution=64) == {"FINISHED"}
 
     @staticmethod
     def heights(terrain) -> np.ndarray:

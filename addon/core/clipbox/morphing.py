@@ -43,26 +43,26 @@ def _find_targets(corners: np.ndarray, coarser: ToroidalGrid) -> tuple[np.ndarra
     """Return the means of the coarser vertices around `corners` (K, 3): offsets in voxels (K, 3), normals (K, 3), and their counts (K,)."""
     low = corners.min(axis=0) // 2
     shape = (corners.max(axis=0) + 1) // 2 - low + 1
-    strides = np.array(surface_nets.voxel_strides(tuple(shape.tolist())))
-    around = (corners[:, None] + OCTANTS) // 2  # Eight coarser corners, of which some are the same where indices are even.
-    unique, new_rows = surface_nets.compact_indices((around - low) @ strides, int(shape.prod()))
-    coarser_corners = low + surface_nets.unravel_indices(unique, tuple(shape.tolist()))
-    values = coarser.values_at(coarser_corners[:, None] + OCTANTS - 1).T
+    local = (corners - 2 * low).astype(np.int32)
+    # Indices of eight coarser corners, of which some are the same where those of the finer one are even.
+    ends = np.stack([local >> 1, (local + 1) >> 1]) * np.array(surface_nets.voxel_strides(tuple(shape.tolist())), np.int32)
+    around = np.stack([ends[x, :, 0] + ends[y, :, 1] + ends[z, :, 2] for x, y, z in OCTANTS.tolist()])
+    unique, new_rows = surface_nets.compact_indices(around, int(shape.prod()))
+    coarser_corners = surface_nets.unravel_indices(unique, tuple(shape.tolist()))
+    values = coarser.values_at((low + coarser_corners)[:, None] + OCTANTS - 1).T
     cases = surface_nets.case_indices(surface_nets.is_solid(values))
-    has_vertex = (cases > 0) & (cases < 255)
-    unique_offsets, unique_normals = np.zeros((len(unique), 3), np.float32), np.zeros((len(unique), 3), np.float32)
-    cases, values = cases[has_vertex], values[:, has_vertex]
-    all_crossings = CornerVertices(np.arange(len(cases)), np.zeros(len(cases), np.int8), np.zeros(len(cases), np.int64))
-    unique_offsets[has_vertex] = surface_nets.vertex_offsets(all_crossings, cases, values)
-    unique_normals[has_vertex] = surface_nets.corner_normals(values)
-    offsets, normals, counts = (np.zeros((len(corners), 3), np.float32) for _ in range(3))
-    for octant in range(8):
-        rows = new_rows.take((around[:, octant] - low) @ strides)
-        is_found = has_vertex[rows][:, None]
-        offsets += is_found * (2 * unique_offsets[rows] + (2 * around[:, octant] - corners).astype(np.float32))
-        normals += unique_normals[rows]
-        counts += is_found
-    counts = counts[:, 0]
-    offsets /= np.maximum(counts, np.float32(1.0))[:, None]
-    lengths = np.sqrt((normals**2).sum(axis=1, keepdims=True))
-    return offsets, normals / np.maximum(lengths, MIN_LENGTH), counts
+    rows = np.flatnonzero((cases > 0) & (cases < 255))
+    cases, values = cases[rows], values[:, rows]
+    all_crossings = CornerVertices(np.arange(len(rows)), np.zeros(len(rows), np.int8), np.zeros(len(rows), np.int64))
+    vertices = np.zeros((len(unique), 7), np.float32)  # Offset in finer voxels, normal, and 1 if there is one.
+    vertices[rows, :3] = 2 * surface_nets.vertex_offsets(all_crossings, cases, values)
+    vertices[rows, 3:6] = surface_nets.corner_normals(values)
+    vertices[rows, 6] = 1.0
+    total, sides = np.zeros((len(corners), 7), np.float32), np.zeros((len(corners), 3), np.float32)
+    for indices, octant in zip(around, OCTANTS, strict=True):
+        found = vertices.take(new_rows.take(indices), axis=0)
+        total += found
+        sides += found[:, 6:] * (2 * octant - 1).astype(np.float32)
+    total[:, :3] += sides * (local & 1)  # Where the index of a corner is odd, the coarser ones are one voxel away.
+    counts, lengths = total[:, 6], np.sqrt((total[:, 3:6] ** 2).sum(axis=1, keepdims=True))
+    return total[:, :3] / np.maximum(counts, np.float32(1.0))[:, None], total[:, 3:6] / np.maximum(lengths, MIN_LENGTH), counts
