@@ -2,7 +2,8 @@
 
 Prints JSON. Parts (`--only`): `error`, the paper's Figure 18: the fraction of pixels whose gray value differs by more than 20 of 255 from
 that of boxes with 192 voxels per side and the same extent, for 32, 64, 96 and 128; `uniform`, depth errors compared with one marching cubes
-mesh with as many triangles and the same extent; `moves`, FLIP between frames of a camera that stays while boxes of 64 voxels move on.
+mesh with as many triangles and the same extent; `moves`, FLIP between frames of a camera that stays while boxes of 64 voxels move on, in
+random views, with and without *Smooth Moves*.
 `--sheet FILE.png` shows the renders of `error`.
 """
 
@@ -10,7 +11,6 @@ import sys
 from argparse import Namespace
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,7 @@ from farfield.addon.bridge.shading.node_builder import NodeBuilder
 from farfield.addon.compat import enable_nodes
 from farfield.addon.core.clipbox.clearings import find_clearing
 from farfield.addon.core.clipbox.engine import TerrainEngine, WeldedMesh, weld
-from farfield.addon.core.clipbox.layout import ALIGNMENT
+from farfield.addon.core.clipbox.layout import layout_around
 from farfield.addon.core.clipbox.settings import ClipboxSettings
 from farfield.addon.core.clipbox.terrains.generators import build_sampler
 from farfield.addon.core.clipbox.terrains.grids import Grid
@@ -52,7 +52,10 @@ RESOLUTIONS = (32, 64, 96, 128)
 MAX_GRAY_ERROR = 20 / 255
 SIZE = (640, 360)
 LIGHT_DIRECTION = (0.5, -0.4, 0.77)
-MOVES, SAMPLES_OF_MOVES = 8, 16  # Moves of the innermost box, and samples per pixel.
+KINDS_OF_MOVES = {"smooth": True, "in steps": False}  # By the value of *Smooth Moves*.
+SAMPLES_OF_MOVES, SIZE_OF_MOVES = 16, (480, 270)  # Per pixel, and pixels.
+SCAN_STEP = 0.25  # Voxels between two viewers.
+DOWNWARD, MAX_HEIGHT, LOWEST = (0.0, 0.5), 40.0, -500.0  # Slopes of random views, their height above clearings, and where these may begin.
 NEAR_DISTANCE = 64.0  # scene units, half of the innermost box
 VIEWERS = {  # position, and direction towards the viewer
     "valley": ((0.0, 0.0, 45.0), (-0.62, -0.74, 0.26)),
@@ -66,7 +69,11 @@ def build_parser() -> command_line.Parser:
     parser = benchmark_cli.build_parser("bench_clipbox_images.py", __doc__, PARTS)
     parser.add_argument("--terrain", default="cascades", help="the terrain to measure")
     parser.add_argument("--viewers", nargs="+", choices=list(VIEWERS), default=list(VIEWERS), help="viewer positions")
-    parser.add_argument("--sheet", type=Path, help="a PNG file for the renders of the first viewer and their wrong pixels")
+    parser.add_argument("--views", type=int, default=4, help="random views of the part moves")
+    parser.add_argument("--seed", type=int, default=1, help="random seed of these views")
+    parser.add_argument(
+        "--sheet", type=Path, help="a PNG file for the renders of the first viewer and their wrong pixels; its name begins those of moves"
+    )
     return parser
 
 
@@ -121,21 +128,62 @@ def uniform(given: Namespace) -> dict[str, Any]:
 
 
 def moves(given: Namespace) -> dict[str, Any]:
-    """Measure FLIP between consecutive frames when the boxes move by four voxels of the innermost one at a time, each move of outer boxes
-    among them, while the camera stays."""
-    settings = ClipboxSettings(terrain=given.terrain, boxes=BOXES)
-    sampler, figures = build_sampler(settings), {}
-    for viewer in given.viewers:
-        position, direction = (np.array(vector) for vector in VIEWERS[viewer])
-        position = find_clearing(sampler, position, settings.voxel_size)
-        with renderer(position, direction, shade_lambert, samples=SAMPLES_OF_MOVES) as render:
-            engine, images = TerrainEngine(settings), []
-            for index in range(MOVES + 1):
-                run_to_end(engine.move(position + [index * float(ALIGNMENT), 0.0, 0.0]))
-                images.append(render(weld(list(engine.extract_all()))))
-        flips = [float(flip_map.mean()) for flip_map in flip_maps(list(pairwise(images)))]
-        figures[viewer] = {"mean": round(float(np.mean(flips)), 4), "max": round(max(flips), 4)}
-    return {"by_viewer": figures, "bound": 0.02}
+    """Measure FLIP between two frames of a camera that stays, before and after the border of a box in front of it moves on, for each box
+    in random views.
+
+    The camera is where the viewer is. Whatever else moves at the same time counts as well.
+    """
+    figures: dict[str, Any] = {}
+    for kind, smooth_moves in KINDS_OF_MOVES.items():
+        settings = ClipboxSettings(terrain=given.terrain, boxes=BOXES, smooth_moves=smooth_moves)
+        sampler, random, views = build_sampler(settings), np.random.default_rng(given.seed), []
+        for index in range(given.views):
+            ground, heading, pitch = random.uniform(-2_000.0, 2_000.0, 2), random.uniform(0.0, 2.0 * np.pi), random.uniform(*DOWNWARD)
+            height, direction, flips = random.uniform(0.0, MAX_HEIGHT), np.array([np.cos(heading), np.sin(heading), pitch]), []
+            for level in range(BOXES - 1):
+                viewers = find_move(settings, ground, level, direction)
+                position = find_clearing(sampler, np.array([*viewers[0], LOWEST]), settings.voxel_size) + [0.0, 0.0, height]
+                images = render_moves(settings, position, direction, [np.array([*viewer, position[2]]) for viewer in viewers])
+                (flip_map,) = flip_maps([images])
+                flips.append(round(float(flip_map.mean()), 4))
+                if given.sheet is not None:
+                    row = [[*images, np.repeat(flip_map[..., None], 3, axis=2)]]
+                    path = given.sheet.with_name(f"{given.sheet.stem}_{kind}_{index}_{level}.png")
+                    write_png(path, draw_contact_sheet(f"Box {level + 1}", row, [kind], [["before"], ["after"], [f"FLIP {flips[-1]}"]]))
+            views.append(flips)
+        figures[kind] = {"by_view_and_box": views, "mean": round(float(np.mean(views)), 4), "max": max(map(max, views))}
+    return figures | {"bound": 0.02}
+
+
+def find_move(settings: ClipboxSettings, ground: np.ndarray, level: int, direction: np.ndarray) -> list[np.ndarray]:
+    """Return two viewers (2,) near `ground` (2,), a quarter of the smallest voxels apart along an axis, between whom the border of a level
+    moves on that somebody sees who looks against `direction` (3,)."""
+    axis = int(np.abs(direction[:2]).argmax())
+
+    def viewer_at(steps: int) -> np.ndarray:
+        return ground + np.eye(2)[axis] * (SCAN_STEP * settings.voxel_size * steps)
+
+    def border_at(steps: int) -> int:
+        visible = layout_around(np.array([*viewer_at(steps), 0.0]), settings).visible[level]
+        return int((visible.low if direction[axis] > 0 else visible.high)[axis])
+
+    low, stride = 0, 2**level
+    while border_at(low) == border_at(low + stride):
+        low += stride
+    low += next(step for step in range(stride) if border_at(low + step) != border_at(low + step + 1))
+    return [viewer_at(low), viewer_at(low + 1)]
+
+
+def render_moves(
+    settings: ClipboxSettings, position: np.ndarray, direction: np.ndarray, viewers: list[np.ndarray]
+) -> tuple[np.ndarray, ...]:
+    """Render the terrain around each of `viewers` (3,) by a camera at `position`, as in `renderer`."""
+    engine, images = TerrainEngine(settings), []
+    with renderer(position, direction, shade_lambert, SAMPLES_OF_MOVES, SIZE_OF_MOVES) as render:
+        for viewer in viewers:
+            run_to_end(engine.move(viewer))
+            images.append(render(weld(list(engine.extract_all()))))
+    return tuple(images)
 
 
 def build_nested(terrain: str, resolution: int, position: np.ndarray) -> WeldedMesh:
@@ -172,13 +220,17 @@ def marching_cubes(densities: np.ndarray) -> WeldedMesh:
 
 @contextmanager
 def renderer(
-    position: np.ndarray, direction: np.ndarray, shade: Callable[[NodeBuilder], None], samples: int = 1
+    position: np.ndarray,
+    direction: np.ndarray,
+    shade: Callable[[NodeBuilder], None],
+    samples: int = 1,
+    size: tuple[int, int] = SIZE,
 ) -> Iterator[Callable[[WeldedMesh], np.ndarray]]:
     """Yield a function that renders a mesh (H, W, 3) from `position` against `direction`; `shade` adds emission. samples: per pixel."""
     with render_scene("Farfield Terrain") as work:
         prepare_cycles(work.scene, samples, 8)
         work.scene.cycles.filter_width = 0.01 if samples == 1 else 1.5
-        work.scene.render.resolution_x, work.scene.render.resolution_y = SIZE
+        work.scene.render.resolution_x, work.scene.render.resolution_y = size
         work.camera.data.type, work.camera.data.angle = "PERSP", 1.2
         work.camera.data.clip_end = 1e6
         work.camera.matrix_world = look_at_matrix(direction / np.linalg.norm(direction), position)

@@ -41,6 +41,15 @@ class PrefetchingEngine(Protocol):
         """Read what the next moves will probably need. Runs in a thread, and may be cancelled at any step."""
 
 
+@runtime_checkable
+class QuickEngine(Protocol):
+    """An engine that leaves out fine detail around a fast viewer. Its viewers are positions (3,)."""
+
+    def move_quickly(self, viewer: Any, travel: float) -> Steps[Any]:
+        """Compute the update for a viewer who moves on by the length `travel` until it is shown. If detail is left out, the engine is not
+        settled. Otherwise as `move`."""
+
+
 class Change(Protocol):
     """One move of one terrain in the main thread: fills meshes that nobody sees yet, then shows them."""
 

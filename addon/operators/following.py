@@ -1,28 +1,31 @@
 """Terrains that follow a viewer: a thread computes the changes, and the main thread shows them, a few milliseconds at a time."""
 
 import time
+from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from queue import Empty
 from typing import Any
 
 import bpy
+import numpy as np
 
 from ..bridge.terrain_roots import TerrainRoot
 from ..core.errors import Cancelled, GeometryError
 from ..core.jobs.progress import BackgroundThread, Steps, run_to_end
 from . import follow_tools, long_work
 from .engine_cache import cache, discard_finished_blocks
-from .follow_tools import Engine, PrefetchingEngine
+from .follow_tools import Engine, PrefetchingEngine, QuickEngine
 
 MAX_TICK_SECONDS = 0.008  # Time of the main thread per tick.
+SPEED_SECONDS = 0.4  # Time over which the speed of a viewer is measured.
 
 
 class Following:
     """Lets one terrain follow a viewer. Its thread owns the engine; the main thread fills pending meshes and shows all of them at once.
 
     moves: number of moves that were shown. longest_tick: seconds of the main thread. longest_evaluation: seconds that Blender then took to
-    update the scene for what was shown, without drawing.
+    update the scene for what was shown, without drawing. is_complete: whether nothing is left out of what is shown for a fast viewer.
     """
 
     def __init__(self, terrain: TerrainRoot) -> None:
@@ -35,6 +38,9 @@ class Following:
         self.terrain = terrain
         self.moves = 0
         self.longest_tick = self.longest_evaluation = 0.0
+        self.is_complete = True
+        self._path = ViewerPath()
+        self._move_seconds = 0.0  # From the start of the last complete move until it was shown.
         self._engine = cache.get(terrain)
         self._move: _Move | None = None
         self._prefetch: BackgroundThread[None] | None = None  # between a move and the next one
@@ -52,6 +58,8 @@ class Following:
             FarfieldError: the terrain was removed, or the engine failed. The scene is unchanged.
         """
         started = time.perf_counter()
+        if isinstance(self._engine, QuickEngine):
+            self._path.append(started, viewer)
         try:
             return self._advance(viewer, started, max_seconds)
         finally:
@@ -68,6 +76,16 @@ class Following:
             self._move = None
             self._engine.invalidate()
 
+    def complete(self) -> None:
+        """Show what is left out for a fast viewer, and wait for that.
+
+        Raises:
+            FarfieldError: the terrain was removed, or its engine failed.
+        """
+        if not self.is_complete:
+            recenter(self.terrain, self._path.last)
+            self.is_complete = True
+
     def close(self) -> None:
         """Stop following."""
         self.pause()
@@ -83,7 +101,8 @@ class Following:
     def _advance(self, viewer: Any, started: float, max_seconds: float) -> bool:
         if self._move is None:
             if not self._engine.is_settled_at(viewer):
-                self._move, self._prefetch = _Move(self.terrain, self._engine, viewer, self._prefetch), None
+                travel = self._path.speed * self._move_seconds
+                self._move, self._prefetch = _Move(self.terrain, self._engine, viewer, self._prefetch, travel), None
             return False
         is_valid = False
         try:
@@ -93,6 +112,9 @@ class Following:
             if not is_valid:
                 self.pause()
         if is_shown:
+            self.is_complete = not self._move.leaves_out_detail
+            if self.is_complete:
+                self._move_seconds = time.perf_counter() - self._move.started
             self._move, self._awaits_evaluation = None, True
             self.moves += 1
             if isinstance(self._engine, PrefetchingEngine):
@@ -100,19 +122,54 @@ class Following:
         return is_shown
 
 
-class _Move:
-    """A move whose update is computed in a thread, and its change in the main thread."""
+class ViewerPath:
+    """Where a viewer was in the last moments."""
 
-    def __init__(self, terrain: TerrainRoot, engine: Engine, viewer: Any, prefetch: BackgroundThread[None] | None) -> None:
-        """prefetch: a thread that uses the engine, which is cancelled."""
-        self._engine = engine
+    def __init__(self) -> None:
+        self._positions: deque[tuple[float, np.ndarray]] = deque()
+
+    def append(self, seconds: float, position: np.ndarray) -> None:
+        """Add the `position` (3,) at a time, and forget those of earlier times except for the last one."""
+        self._positions.append((seconds, position))
+        while len(self._positions) > 2 and self._positions[1][0] < seconds - SPEED_SECONDS:
+            self._positions.popleft()
+
+    @property
+    def last(self) -> np.ndarray:
+        """The last position (3,)."""
+        return self._positions[-1][1]
+
+    @property
+    def speed(self) -> float:
+        """The mean speed of these moments without the longest of their steps, which may be a jump. Units per second."""
+        if len(self._positions) < 3:
+            return 0.0
+        times, positions = (np.array(values) for values in zip(*self._positions, strict=True))
+        lengths = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+        return float(lengths.sum() - lengths.max()) / max(times[-1] - times[0], MAX_TICK_SECONDS)
+
+
+class _Move:
+    """A move whose update is computed in a thread, and its change in the main thread.
+
+    started: the time of its start. leaves_out_detail: whether it does not show all that is right for the viewer.
+    """
+
+    def __init__(
+        self, terrain: TerrainRoot, engine: Engine, viewer: Any, prefetch: BackgroundThread[None] | None, travel: float = 0.0
+    ) -> None:
+        """prefetch: a thread that uses the engine, which is cancelled. travel: how far the viewer goes until the move is shown."""
+        self.started, self.leaves_out_detail = time.perf_counter(), False
+        self._engine, self._viewer = engine, viewer
         self._change = follow_tools.tool_of(terrain).start_change(terrain, engine)
         self._filling: Iterator[None] | None = None
         self._showing: Iterator[None] | None = None
         discard_finished_blocks(engine)  # They belong to a move that was shown in another way.
         if prefetch is not None:
             prefetch.cancel()
-        self._thread = BackgroundThread(_move_after(prefetch, engine.move(viewer)))
+        self._is_quick = travel > 0.0 and isinstance(engine, QuickEngine)
+        steps = engine.move_quickly(viewer, travel) if self._is_quick else engine.move(viewer)
+        self._thread = BackgroundThread(_move_after(prefetch, steps))
 
     def advance(self, started: float, max_seconds: float) -> bool:
         """Fill meshes, then show them, until `max_seconds` after `started`. Returns whether they are shown."""
@@ -123,6 +180,7 @@ class _Move:
                     return False  # showing the meshes fits the next tick better
                 self._showing = iter(self._change.show(self._thread.result()))
             if self._showing is not None and next(self._showing, self) is self:
+                self.leaves_out_detail = self._is_quick and not self._engine.is_settled_at(self._viewer)
                 return True
             longest_step = max(longest_step, time.perf_counter() - now)
         return False

@@ -58,6 +58,15 @@ class ViewFollowing:
         ended.close()
         return ended.moves
 
+    def complete(self) -> None:
+        """Show what is left out for a fast viewer, and wait for that.
+
+        Raises:
+            FarfieldError: the terrain was removed, or its engine failed.
+        """
+        if self._following is not None:
+            self._following.complete()
+
     def _tick(self) -> float | None:
         """Continue for a moment; return the seconds to the next call, None to end."""
         continues = False
@@ -152,8 +161,12 @@ class FollowViewOperator(ActiveTerrainOperator):
             return self.execute(context)
         if current.terrain is None:
             current.start(self.active_terrain(context), context.area, self.budget / 1000.0)
-        elif current.stop():
-            bpy.ops.ed.undo_push(message=self.bl_label)
+        else:
+            try:
+                current.complete()
+            finally:
+                if current.stop():
+                    bpy.ops.ed.undo_push(message=self.bl_label)
         long_work.redraw_sidebars(context.window_manager)
         return {"FINISHED"}
 

@@ -103,7 +103,7 @@ class TestEdits:
         assert Edits((solid_of(sphere()),)) == Edits((solid_of(sphere(), 3.0),)) != NO_EDITS, "by fingerprint"
 
     def test_they_stay_where_they_are_when_boxes_move(self):
-        settings = ClipboxSettings(terrain="formula", formula="-z", resolution=32, boxes=3)
+        settings = ClipboxSettings(terrain="formula", formula="-z", resolution=64, boxes=3)
         engine = TerrainEngine(settings, edits=Edits((SPHERE,)))
         for viewer in ((0.0, 0.0, 5.0), (9.0, -4.0, 5.0)):
             update = run_to_end(engine.move(np.array(viewer)))
@@ -120,7 +120,7 @@ class TestObjects:
 
     @staticmethod
     def create(**changes):
-        bpy.ops.farfield.clipbox_create(**({"terrain": "formula", "formula": "-z", "boxes": 3, "resolution": 32} | changes))
+        bpy.ops.farfield.clipbox_create(**({"terrain": "formula", "formula": "-z", "boxes": 3, "resolution": 64} | changes))
         return SceneTerrain.in_scene(bpy.context.scene)[0]
 
     @staticmethod
@@ -139,7 +139,7 @@ class TestObjects:
     @staticmethod
     def update(terrain):
         bpy.context.view_layer.objects.active = terrain.root
-        assert bpy.ops.farfield.clipbox_update(terrain="formula", formula="-z", boxes=3, resolution=32) == {"FINISHED"}
+        assert bpy.ops.farfield.clipbox_update(terrain="formula", formula="-z", boxes=3, resolution=64) == {"FINISHED"}
 
     @staticmethod
     def heights(terrain) -> np.ndarray:

@@ -5,6 +5,7 @@ import time
 
 import bpy
 import mathutils
+import numpy as np
 import pytest
 
 from farfield.addon.bridge.clipbox import objects as terrain_objects
@@ -131,6 +132,48 @@ class TestView:
             assert not bpy.app.timers.is_registered(current._timer) and not following.running()
         finally:
             handlers.register()
+
+
+class TestFastViewer:
+    """Innermost boxes are left out while the viewer of a viewport is fast."""
+
+    @pytest.fixture
+    def fast(self, terrain):
+        """The terrain, which follows a viewer with 100 voxels per second although each move takes 10 seconds."""
+        current.start(terrain, None, 0.05)
+        current._following._move_seconds = 10.0
+        for step in range(10):
+            current._following._path.append(time.perf_counter() - 0.02 * (10 - step), np.array([2.0 * (step - 10), 0.0, 20.0]))
+        move_camera(3.0, 0.0, 20.0)
+        assert run_timer(lambda: not terrain.is_complete)
+        return terrain
+
+    def test_they_are_shown_once_the_viewer_is_slow(self, fast):
+        assert not any(name.startswith("0 ") for name in fast.blocks())
+        assert run_timer(lambda: fast.is_complete) and any(name.startswith("0 ") for name in fast.blocks())
+        current.stop()
+        assert geometry_bytes(fast) == geometry_bytes(create())
+
+    def test_they_are_shown_when_following_ends(self, fast):
+        current.complete()
+        current.stop()
+        assert fast.is_complete and geometry_bytes(fast) == geometry_bytes(create())
+
+    def test_renders_show_all_boxes(self, fast):
+        current.stop()
+        assert not fast.is_complete
+        fast.root.farfield_clipbox_follow_camera = True
+        bpy.context.scene.frame_set(2)
+        assert fast.is_complete and geometry_bytes(fast) == geometry_bytes(create())
+
+    def test_a_jump_is_no_speed(self):
+        path = following.ViewerPath()
+        for index, x in enumerate((0.0, 0.0, 0.0, 5000.0, 5000.0)):
+            path.append(0.02 * index, np.array([x, 0.0, 0.0]))
+        assert path.speed == 0.0
+        for index in range(100):
+            path.append(1.0 + 0.02 * index, np.array([2.0 * index, 0.0, 0.0]))
+        assert path.speed == pytest.approx(100.0, rel=0.1) and path.last.tolist() == [198.0, 0.0, 0.0]
 
 
 def test_handlers_that_another_add_on_has_removed_do_not_disturb(terrain):

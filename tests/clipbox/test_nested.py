@@ -20,6 +20,7 @@ from watertight import directed_edge_counts, directed_edges, open_edges
 
 VARIANTS = [
     {"terrain": "cascades"},
+    {"terrain": "mesas", "smooth_moves": False, "threshold": 2},
     pytest.param({"terrain": "spheres"}, marks=pytest.mark.exhaustive),
     {"terrain": "islands", "surface": "blocky"},
     {"terrain": "sine", "surface": "blocky", "smoothing": 3, "threshold": 3},
@@ -109,16 +110,28 @@ def test_the_surface_is_accurate_in_every_level():
     assert np.allclose(mesh.normals[inner], np.array([-0.37, 0.2, 1.0]) / np.linalg.norm([0.37, 0.2, 1.0]), atol=0.35)
 
 
+@pytest.mark.parametrize("is_smooth", [True, False])
 @pytest.mark.parametrize("threshold", [1, 2, 3, 4])
-def test_levels_are_nested_and_aligned(threshold):
-    layout = layout_around(np.array([1e7 + 0.3, -17.2, 4.0]), small(voxel_size=0.5, resolution=33, boxes=5, threshold=threshold))
+def test_levels_are_nested_and_aligned(threshold, is_smooth):
+    viewer = np.array([1e7 + 0.3, -17.2, 4.0])
+    layout = layout_around(viewer, small(voxel_size=0.5, resolution=33, boxes=5, threshold=threshold, smooth_moves=is_smooth))
+    alignment = 2 if is_smooth else 4
     for level, (inner, outer) in enumerate(pairwise(layout.visible)):
-        assert (inner.low % 4 == 0).all() and (inner.high % 4 == 0).all()
-        assert (inner.high - inner.low >= 33 - 6).all()
+        assert (inner.low % alignment == 0).all() and (inner.high % alignment == 0).all()
+        assert (inner.high - inner.low >= 33 - (10 if is_smooth else 6)).all()
         hole = layout.hole(level + 1)
         assert ((hole.low - outer.low >= 3) & (outer.high - hole.high >= 3)).all()
         center = (inner.low + inner.high) / 2 * 0.5 * 2**level
-        assert (np.abs(center - [1e7 + 0.3, -17.2, 4.0]) <= (3.5 + threshold / 2) * 0.5 * 2**level).all()
+        assert (np.abs(center - viewer) <= (1.5 if is_smooth else 3.5 + threshold / 2) * 0.5 * 2**level).all()
+
+
+@pytest.mark.parametrize("resolution", [32, 33, 64, 65])
+@pytest.mark.parametrize("threshold", [1, 2, 3, 4])
+def test_visible_voxels_are_those_that_boxes_have(threshold, resolution):
+    source = small(resolution=resolution, threshold=threshold, boxes=2)
+    for viewer in np.random.default_rng(threshold).uniform(-40.0, 40.0, (300, 3)):
+        layout = layout_around(viewer, source)
+        assert (layout.visible[0].low >= layout.origins[0]).all() and (layout.visible[0].high <= layout.origins[0] + resolution).all()
 
 
 def test_blocks_cover_the_visible_part():
@@ -176,11 +189,13 @@ class TestMoves:
         assert all(box["reused_fraction"] >= 0.9 for box in boxes if box["reused_fraction"] is not None)
         assert boxes[0]["computed"] > boxes[-1]["computed"]
 
-    def test_a_move_within_the_same_voxel_changes_nothing(self):
-        engine, _ = build({}, (0.0, 0.0, 9.0))
-        update = run_to_end(engine.move(np.array([0.2, 0.1, 9.3])))
+    @pytest.mark.parametrize("is_smooth", [True, False])
+    def test_a_move_within_the_same_voxel_changes_nothing(self, is_smooth):
+        engine, _ = build({"smooth_moves": is_smooth}, (0.0, 0.0, 9.0))
+        update = run_to_end(engine.move(np.array([0.1, 0.1, 9.1])))
         assert not update.meshes and not update.removed and not update.is_complete
-        assert engine.is_settled_at(np.array([0.4, 0.0, 9.9])) and not engine.is_settled_at(np.array([1.4, 0.0, 9.0]))
+        assert engine.is_settled_at(np.array([0.1, 0.0, 9.1])) and not engine.is_settled_at(np.array([1.4, 0.0, 9.0]))
+        assert engine.is_settled_at(np.array([0.6, 0.0, 9.0])) != is_smooth
 
     def test_a_move_can_be_repeated_after_cancelling(self):
         engine, first = build({}, (0.0, 0.0, 9.0))
@@ -240,3 +255,39 @@ def test_subdivided_boxes_have_finer_faces_and_only_new_vertices_are_displaced()
     assert distances.max() <= 0.5 + 1e-9 and (distances == 0.0).mean() > 0.3 and (distances > 0.0).mean() > 0.1
     lengths = np.linalg.norm(np.diff(flat.vertices[directed_edges(flat.triangles)], axis=1)[:, 0], axis=1)
     assert lengths.min() < 1.5 and len(sampled.boxes.grids) == 3
+
+
+def test_ground_next_to_the_viewer_is_subdivided_in_large_boxes():
+    """Boxes are so large that whole blocks lie in the subdivided one."""
+    source = ClipboxSettings(terrain="formula", formula="-z", resolution=128, boxes=2, subdivided_boxes=1)
+    mesh = weld(list(run_to_end(TerrainEngine(source).move(np.zeros(3))).meshes.values()))
+    ends = mesh.vertices[open_edges(mesh.triangles)]
+    assert (np.abs(ends).max(axis=2) == 128.0).all()
+
+
+class TestQuickMoves:
+    """Boxes that a fast viewer leaves are not shown."""
+
+    @pytest.mark.parametrize(("travel", "left_out"), [(0.0, 0), (15.9, 0), (16.1, 1), (33.0, 2), (1e9, 2)])
+    def test_boxes_that_the_viewer_leaves_are_left_out(self, travel, left_out):
+        engine = TerrainEngine(small())
+        update = run_to_end(engine.move_quickly(np.array([1.0, 2.0, 3.0]), travel))
+        assert update.left_out == left_out and min(level for level, _ in update.meshes) == left_out
+        assert engine.is_settled_at(np.array([1.0, 2.0, 3.0])) == (left_out == 0)
+        check_closed(engine, list(update.meshes.values()))
+
+    @pytest.mark.parametrize("is_smooth", [True, False])
+    def test_they_come_back_as_if_they_had_never_been_left_out(self, is_smooth):
+        variant = {"smooth_moves": is_smooth}
+        engine, first = build(variant, (0.0, 0.0, 5.0))
+        shown = dict(first.meshes)
+        for position, travel in (((9.0, 0.0, 5.0), 20.0), ((30.0, 4.0, 5.0), 40.0), ((41.0, 4.0, 5.0), 20.0), ((41.0, 4.0, 5.0), 0.0)):
+            update = run_to_end(engine.move_quickly(np.array(position), travel))
+            shown = {key: mesh for key, mesh in shown.items() if key not in update.removed} | update.meshes
+            check_closed(engine, list(shown.values()))
+        _, fresh = build(variant, (41.0, 4.0, 5.0))
+        assert set(shown) == set(fresh.meshes)
+        assert all(shown[key].vertices.tobytes() == mesh.vertices.tobytes() for key, mesh in fresh.meshes.items())
+
+    def test_subdivided_boxes_are_never_left_out(self):
+        assert run_to_end(TerrainEngine(small(subdivided_boxes=1)).move_quickly(np.zeros(3), 1e9)).left_out == 0

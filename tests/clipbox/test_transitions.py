@@ -5,10 +5,13 @@ import pytest
 
 from clipbox_borders import count_walls
 from farfield.addon.core.clipbox.clearings import find_clearing
+from farfield.addon.core.clipbox.engine import TerrainEngine, weld
+from farfield.addon.core.clipbox.morphing import morph_vertices
 from farfield.addon.core.clipbox.nested import NestedBoxes
 from farfield.addon.core.clipbox.settings import ClipboxSettings
 from farfield.addon.core.clipbox.terrains.generators import Sampler, build_sampler
 from farfield.addon.core.clipbox.terrains.grids import Grid
+from farfield.addon.core.clipbox.toroidal_grid import ToroidalGrid
 from farfield.addon.core.jobs.progress import run_to_end
 
 TUNNEL_RADIUS = 4.0
@@ -30,8 +33,9 @@ def moved_boxes(sampler: Sampler, **changes) -> NestedBoxes:
     return boxes
 
 
-def test_a_tunnel_narrows_and_closes_before_the_border():
-    boxes = moved_boxes(Sampler("tunnel", tunnel_in_fine_boxes))
+@pytest.mark.parametrize("is_smooth", [True, False])
+def test_a_tunnel_narrows_and_closes_before_the_border(is_smooth):
+    boxes = moved_boxes(Sampler("tunnel", tunnel_in_fine_boxes), smooth_moves=is_smooth)
     visible = boxes.layout.visible[0]
     air = (boxes.window(0, visible.low, visible.high) <= 0).sum(axis=(1, 2))
     half = air[len(air) // 2 :]
@@ -39,9 +43,10 @@ def test_a_tunnel_narrows_and_closes_before_the_border():
     assert (np.diff(half) <= 0).all() and len(np.unique(half)) >= 4, "a rounded end, not a wall"
 
 
+@pytest.mark.parametrize("is_smooth", [True, False])
 @pytest.mark.parametrize("terrain", ["tunnel", "cascades", "spheres"])
-def test_no_box_ends_in_a_wall(terrain, monkeypatch):
-    source = settings(terrain="spheres" if terrain == "spheres" else "cascades", boxes=4, resolution=48)
+def test_no_box_ends_in_a_wall(terrain, is_smooth, monkeypatch):
+    source = settings(terrain="spheres" if terrain == "spheres" else "cascades", boxes=4, resolution=48, smooth_moves=is_smooth)
     sampler = Sampler("tunnel", tunnel_in_fine_boxes) if terrain == "tunnel" else build_sampler(source)
     viewers = [np.zeros(3) if terrain == "tunnel" else find_clearing(sampler, np.array([180.0, 40.0, -40.0]), 1.0)]
     assert sum(box["walls"] for box in count_walls(sampler, source, viewers)) == 0
@@ -75,3 +80,109 @@ def test_a_plane_stays_a_plane():
     exact = 0.5 * grid.coordinates()[0] + 0.25 * grid.coordinates()[1] - grid.coordinates()[2]
     near = np.abs(exact) < 1.5
     assert np.abs(window.astype(np.float32) - exact)[near].max() < 2e-3
+
+
+DETAIL_HEIGHT = 2.0
+
+
+def plain_with_detail(grid: Grid) -> np.ndarray:
+    """Level ground, which boxes with voxels of 1 show higher."""
+    return (DETAIL_HEIGHT if grid.voxel_size < 1.5 else 0.0) - grid.coordinates()[2]
+
+
+def shown_heights(place: float, viewers: np.ndarray, **changes) -> np.ndarray:
+    """Return how high the ground is shown at x = `place` around each of the viewers at x = `viewers` (N,), as sampled densities say."""
+    boxes, heights = NestedBoxes(Sampler("plain", plain_with_detail), settings(boxes=2, **changes)), []
+    for viewer in viewers:
+        run_to_end(boxes.move(np.array([viewer, 0.0, 0.0])))
+        level = 0 if boxes.layout.visible[0].contains(np.array([place, 0, 0])) else 1
+        low = np.array([place // 2**level, 0, -8])
+        column = boxes.window(level, low, low + [1, 1, 16])[0, 0].astype(np.float64)
+        last = int(np.flatnonzero(column > 0)[-1])
+        heights.append((low[2] + last + 0.5 + column[last] / (column[last] - column[last + 1])) * 2**level)
+    return np.array(heights)
+
+
+@pytest.mark.parametrize("threshold", [1, 4])
+def test_ground_changes_little_by_little_while_the_viewer_comes_nearer(threshold):
+    viewers = np.arange(0.0, 40.0, 0.5)
+    smooth, stepped = (shown_heights(40, viewers, threshold=threshold, smooth_moves=is_smooth) for is_smooth in (True, False))
+    for heights in (smooth, stepped):
+        assert heights[0] == pytest.approx(0.0, abs=1e-2) and heights[-1] == pytest.approx(DETAIL_HEIGHT, abs=1e-2)
+    assert (np.diff(smooth) >= -1e-2).all() and np.diff(smooth).max() < 0.1 * DETAIL_HEIGHT
+    assert np.diff(stepped).max() > 0.9 * DETAIL_HEIGHT
+
+
+@pytest.mark.parametrize(("resolution", "threshold"), [(32, 4), (33, 1), (64, 1), (64, 8)])
+def test_a_transition_ends_before_the_border_wherever_the_viewer_is(resolution, threshold):
+    source = settings(boxes=2, resolution=resolution, threshold=threshold)
+    boxes = NestedBoxes(Sampler("plain", plain_with_detail), source)
+    for viewer in np.random.default_rng(1).uniform(-20.0, 20.0, (10, 3)) * [1.0, 1.0, 0.1]:
+        run_to_end(boxes.move(viewer))
+        low, high = boxes.layout.visible[0].low, boxes.layout.visible[0].high
+        window = boxes.window(0, low, high).astype(np.float64)
+        heights = np.broadcast_to((np.arange(low[2], high[2]) + 0.5)[None, None], window.shape)
+        coarse, fine = (np.isclose(window, height - heights, atol=1e-2) for height in (0.0, DETAIL_HEIGHT))
+        inner = np.zeros(window.shape, bool)
+        inner[2:-2, 2:-2, 2:-2] = True
+        assert coarse[~inner].all(), "the two outermost voxels on each side"
+        assert fine[tuple(slice(side // 2 - 3, side // 2 + 3) for side in window.shape)].all()
+
+
+def test_steep_densities_are_as_accurate_as_others():
+    formula = "40*(0.37*x - 0.2*y + 3.1 - z)"
+    mesh = weld(list(run_to_end(TerrainEngine(settings(terrain="formula", formula=formula)).move(np.zeros(3))).meshes.values()))
+    distance = np.abs(mesh.vertices @ [0.37, -0.2, -1.0] + 3.1)
+    assert distance[np.abs(mesh.vertices).max(axis=1) < 100.0].max() < 0.25 and np.median(distance) < 5e-3
+
+
+def test_windows_without_a_surface_are_known_to_have_none(monkeypatch):
+    engine, other = TerrainEngine(settings()), TerrainEngine(settings())
+    monkeypatch.setattr(other.boxes, "has_one_sign", lambda *_: False)
+    for x in (0.0, 0.5, 1.0, 9.0):
+        meshes, expected = (run_to_end(moved.move(np.array([x, 0.0, 0.0]))).meshes for moved in (engine, other))
+        assert set(meshes) == set(expected) and all(
+            mesh.vertices.tobytes() == expected[key].vertices.tobytes() for key, mesh in meshes.items()
+        )
+
+
+def test_vertices_at_the_border_are_those_of_the_coarser_box():
+    """Where the coarser box takes the place of the finer one, its vertices are at the same corners already."""
+    source = settings(terrain="formula", formula="6*sin(x/9)*sin(y/7) - z", boxes=2)
+    before, after = (run_to_end(TerrainEngine(source).move(np.array([x, 0.0, 0.0]))).meshes for x in (0.3, 1.5))
+    fine, coarse = (
+        {
+            tuple(corner): (vertex, normal)
+            for mesh in meshes
+            for corner, vertex, normal in zip(mesh.corners.tolist(), mesh.vertices, mesh.normals, strict=True)
+        }
+        for meshes in (
+            [mesh for (level, _), mesh in before.items() if level == 0],
+            [mesh for (level, _), mesh in after.items() if level == 1],
+        )
+    )
+    left = min(corner[0] for corner in fine)
+    border = [corner for corner in coarse if corner in fine and left <= corner[0] < left + 2 and abs(corner[1]) < 20]
+    assert len(border) > 15
+    for corner in border:
+        assert np.allclose(fine[corner][0], coarse[corner][0], atol=1e-5) and np.allclose(fine[corner][1], coarse[corner][1], atol=1e-5)
+
+
+def test_a_vertex_without_a_coarser_one_stays():
+    grid = ToroidalGrid(8, 2.0, lambda grid: np.ones(grid.shape, np.float16))
+    run_to_end(grid.move(np.full(3, -4)))
+    offsets, normals = np.full((1, 3), 0.25, np.float32), np.array([[0.0, 0.0, 1.0]], np.float32)
+    moved = morph_vertices(np.array([[1, 2, 1]]), np.ones(1, np.float32), grid, offsets, normals)
+    assert np.array_equal(moved[0], offsets) and np.array_equal(moved[1], normals)
+
+
+def test_vertices_go_to_the_mean_of_the_coarser_ones_around_them():
+    """The coarser voxels are solid below z = 1, in units of the finer ones, so that their vertices lie there."""
+    grid = ToroidalGrid(8, 2.0, lambda grid: np.broadcast_to(1.0 - grid.coordinates()[2], grid.shape).astype(np.float16))
+    run_to_end(grid.move(np.full(3, -4)))
+    corners, offsets = np.array([[0, 0, 0], [1, 2, 0], [1, 1, 1]]), np.full((3, 3), 0.25, np.float32)
+    for weight in (0.5, 1.0):
+        weights = np.full(3, weight, np.float32)
+        moved, normals = morph_vertices(corners, weights, grid, offsets, np.tile(np.float32([0.0, 0.0, 1.0]), (3, 1)))
+        targets = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
+        assert np.allclose(moved, offsets + weight * (targets - offsets), atol=1e-6) and np.allclose(normals, [0.0, 0.0, 1.0])

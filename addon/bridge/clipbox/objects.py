@@ -23,7 +23,7 @@ from .sources import absolute_path
 
 # custom properties of the root and of blocks
 SETTINGS_KEY, ORIGIN_KEY, VIEWER_KEY = "farfield_clipbox_settings", "farfield_clipbox_origin", "farfield_clipbox_viewer"
-BLOCK_KEY, WATER_KEY = "farfield_clipbox_block", "farfield_clipbox_water"
+LEFT_OUT_KEY, BLOCK_KEY, WATER_KEY = "farfield_clipbox_left_out", "farfield_clipbox_block", "farfield_clipbox_water"
 WATER_SIZE = 8.0  # Side of the surface of water, relative to that of the outermost box.
 TERRAIN_NAME, CONVERTED_NAME = "Clip-Box Terrain", "Terrain Mesh"
 POOL = "clipbox"
@@ -56,6 +56,11 @@ class SceneTerrain(TerrainRoot):
     def meter(self) -> float:
         """See `TerrainRoot.meter`."""
         return self.settings.scale
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether none of its boxes is left out for a fast viewer."""
+        return LEFT_OUT_KEY not in self.root
 
     def blocks(self) -> dict[str, bpy.types.Object]:
         """Return its block objects by `block_name`."""
@@ -141,6 +146,10 @@ def show_meshes(terrain: SceneTerrain, pending: PendingMeshes, update: Update, m
             mark_spare(blocks[name].data, POOL)
             bpy.data.objects.remove(blocks[name])
     terrain.root[VIEWER_KEY] = update.viewer.tolist()
+    if update.left_out:
+        terrain.root[LEFT_OUT_KEY] = update.left_out
+    elif not terrain.is_complete:
+        del terrain.root[LEFT_OUT_KEY]
 
 
 def show_water(terrain: SceneTerrain, settings: ClipboxSettings) -> None:

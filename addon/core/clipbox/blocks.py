@@ -15,7 +15,9 @@ from .meshing import surface_nets
 from .meshing.subdivision import PatchVertices, subdivide
 from .meshing.surface_nets import CornerVertices
 from .meshing.triangulation import polygon_normals, smooth, split_quads, triangulate_fans
+from .morphing import morph_vertices
 from .nested import NestedBoxes
+from .transitions import ViewerTransition
 
 BlockIndex = tuple[int, int, int]  # position of a block among the blocks of its level
 
@@ -76,7 +78,7 @@ def compute_signatures(boxes: NestedBoxes, level: int, blocks: list[BlockIndex],
         if (transition := boxes.transition(outer_level)) is not None:
             scale = 1 << (outer_level - level)
             bounds.append(transition.bounds(low // scale, -(-high // scale)))
-    if level == boxes.finest_level:
+    if level == boxes.finest_level:  # Its surface is subdivided in finer boxes, if there are some.
         for finer_level in range(boxes.finest_level):
             scale, finer = 1 << (level - finer_level), boxes.layout.visible[finer_level]
             overlaps = (_clip_bounds(IntBox(finer.low // scale, -(-finer.high // scale)), low, high) != 0).any(axis=1)
@@ -118,7 +120,7 @@ def extract_blocks(boxes: NestedBoxes, level: int, blocks: list[BlockIndex], sid
     split, midpoints = _find_split_edges(boxes.hole(level), positions, quads)
     corners = _gather_corners(boxes, level, stack.values, used, positions, midpoints)
     corner_vertices = surface_nets.find_corner_vertices(corners.cases)
-    vertices, normals = _compute_vertices(boxes, corners, corner_vertices)
+    vertices, normals = _compute_vertices(boxes, level, corners, corner_vertices)
     polygons = np.full((len(quads), 8), -1, np.int64)
     midpoint_rows = len(used) + np.arange(len(midpoints))
     polygons[:, 1::2][split] = surface_nets.face_vertices(corner_vertices, corners.cases, midpoint_rows, faces.pairs[split])
@@ -181,6 +183,8 @@ def _stack_windows(boxes: NestedBoxes, level: int, blocks: list[BlockIndex], sid
     margin, windows = _margin(boxes, level), []
     for block in blocks:
         low = np.array(block, np.int64) * side - margin
+        if boxes.has_one_sign(level, low, low + side + 2 * margin):
+            continue
         values = boxes.window(level, low, low + side + 2 * margin)
         solid = surface_nets.is_solid(values)
         if solid.any() and not solid.all():
@@ -264,7 +268,7 @@ def _is_on_boundary(visible: IntBox, positions: np.ndarray, scale: np.ndarray | 
     return ((corners == visible.low) | (corners == visible.high)).any(axis=1)
 
 
-def _compute_vertices(boxes: NestedBoxes, corners: _Corners, corner_vertices: CornerVertices) -> tuple[np.ndarray, np.ndarray]:
+def _compute_vertices(boxes: NestedBoxes, level: int, corners: _Corners, corner_vertices: CornerVertices) -> tuple[np.ndarray, np.ndarray]:
     """Return vertices (V, 3) float64 in voxels of level 0, and their normals (V, 3) float32."""
     blocky, on_boundary = boxes.settings.surface == "blocky", corners.on_boundary
     normals = surface_nets.corner_normals(corners.values)
@@ -278,9 +282,13 @@ def _compute_vertices(boxes: NestedBoxes, corners: _Corners, corner_vertices: Co
         if not blocky or boxes.settings.smoothing:
             boundary_vertices = surface_nets.find_corner_vertices(cases)
             offsets[on_boundary[corner_vertices.corners]] = surface_nets.vertex_offsets(boundary_vertices, cases, values, corners.centers)
-    units = corners.units[corner_vertices.corners, None]
-    vertices = corners.positions.take(corner_vertices.corners, axis=0) * units + offsets.astype(np.float64) * units
-    return vertices, normals.take(corner_vertices.corners, axis=0)
+    units, positions = corners.units[corner_vertices.corners], corners.positions.take(corner_vertices.corners, axis=0)
+    normals = normals.take(corner_vertices.corners, axis=0)
+    for corner_level in {max(level - 1, 0), level}:
+        if isinstance(transition := boxes.transition(corner_level), ViewerTransition):
+            weights = transition.vertex_weights(positions) * (units == 1 << corner_level)
+            offsets, normals = morph_vertices(positions, weights, transition.coarser, offsets, normals)
+    return positions * units[:, None] + offsets.astype(np.float64) * units[:, None], normals
 
 
 def _split_into_blocks(

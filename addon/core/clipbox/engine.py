@@ -38,6 +38,7 @@ class Update:
         removed: blocks whose surface is to be removed.
         is_complete: whether `meshes` holds all blocks of the terrain.
         changed_count: number of blocks that were polygonized.
+        left_out: number of innermost boxes that are not shown.
     """
 
     viewer: np.ndarray
@@ -45,6 +46,7 @@ class Update:
     removed: list[BlockKey]
     is_complete: bool
     changed_count: int
+    left_out: int
 
 
 class TerrainEngine:
@@ -84,16 +86,21 @@ class TerrainEngine:
         Raises:
             GeometryError: the position is invalid, or the density function fails. SettingsError: there is too little memory.
         """
+        return (yield from self.move_quickly(viewer, 0.0))
+
+    def move_quickly(self, viewer: np.ndarray, travel: float) -> Steps[Update]:
+        """Center the boxes on a viewer as `move` does, but leave out the innermost boxes, which the viewer will have left on a path of the
+        length `travel`, scene units (section 3.6 of the paper, which updates them less often)."""
         check_viewer(viewer, self.settings.voxel_size)
         try:
-            return (yield from self._move(viewer))
+            return (yield from self._move(viewer, travel))
         except MemoryError:
             raise SettingsError(OUT_OF_MEMORY, ("resolution", "boxes")) from None
 
-    def _move(self, viewer: np.ndarray) -> Steps[Update]:
+    def _move(self, viewer: np.ndarray, travel: float) -> Steps[Update]:
         self.finished_blocks = SimpleQueue()
         with self.clock.stage("voxels"):
-            yield from subprogress(self.boxes.move(viewer), 0.0, VOXELS_FRACTION)
+            yield from subprogress(self.boxes.move(viewer, travel), 0.0, VOXELS_FRACTION)
         self.moves += 1
         self.initial_voxels = self.initial_voxels or sum(grid.computed for grid in self.boxes.grids)
         with self.clock.stage("surface"):
@@ -120,7 +127,7 @@ class TerrainEngine:
         """Polygonize the blocks whose signature has changed. The terrain itself never changes, so all others keep their surface."""
         signatures = {
             (level, block): signature
-            for level in range(self.boxes.finest_level, self.settings.boxes)
+            for level in range(self.boxes.layout.first_level, self.settings.boxes)
             for block, signature in compute_signatures(
                 self.boxes, level, visible_blocks(self.boxes.layout, level, BLOCK_SIZE), BLOCK_SIZE
             ).items()
@@ -143,7 +150,8 @@ class TerrainEngine:
         is_complete = not self._signatures
         counts = self._triangle_counts | {key: len(mesh.triangles) for key, mesh in meshes.items()}
         self._signatures, self._triangle_counts = signatures, {key: count for key, count in counts.items() if key not in set(removed)}
-        return Update(np.array(viewer, np.float64), meshes, removed, is_complete, len(changed))
+        left_out = self.boxes.layout.first_level - self.boxes.finest_level
+        return Update(np.array(viewer, np.float64), meshes, removed, is_complete, len(changed), left_out)
 
     def extract_all(self) -> Iterator[BlockMesh]:
         """Extract the surfaces of all blocks of the terrain again."""

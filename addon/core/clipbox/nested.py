@@ -5,16 +5,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..jobs.progress import Progress, Steps, subprogress
-from .layout import BoxLayout, IntBox, box_slices, is_same_layout, layout_around
+from .layout import BoxLayout, IntBox, box_slices, is_same_layout, layout_around, transition_range
 from .meshing import surface_nets
 from .meshing.case_table import DIRECTIONS, OCTANTS
 from .settings import ClipboxSettings
 from .terrains.generators import Sampler
 from .toroidal_grid import ToroidalGrid
-from .transitions import MAX_WIDTH, RESOLUTION_PER_WIDTH, Transition
+from .transitions import MAX_WIDTH, RESOLUTION_PER_WIDTH, BorderTransition, Transition, ViewerTransition
 
 # (6, 4, 3) octants around the lattice edge that leaves a corner in each direction
 EDGE_OCTANTS = np.array([OCTANTS[OCTANTS[:, axis] == high] for axis in range(3) for high in (0, 1)])
+MAX_KNOWN_SIGNS = 1 << 14  # Windows of voxels that are remembered. A terrain has a few thousand blocks at most.
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,8 @@ class NestedBoxes:
         self.closed = closed
         self.finest_level = settings.subdivided_boxes
         self.layout: BoxLayout | None = None
+        self._transitions: dict[int, Transition] = {}
+        self._has_one_sign: dict[tuple[int, ...], bool] = {}
         sample = terrain.densities if settings.surface == "smooth" else lambda grid: terrain.signs(grid, settings.smoothing > 0)
         self.grids = [
             ToroidalGrid(settings.resolution, settings.voxel_size * 2**level, sample) for level in range(self.finest_level, settings.boxes)
@@ -57,33 +60,58 @@ class NestedBoxes:
         """Return the voxels of a level."""
         return self.grids[level - self.finest_level]
 
-    def move(self, viewer: np.ndarray) -> Steps[None]:
-        """Center the boxes on a viewer at (3,) scene units. If it is cancelled or fails, it can be called again."""
-        layout = self._layout_around(viewer)
+    def move(self, viewer: np.ndarray, travel: float = 0.0) -> Steps[None]:
+        """Center the boxes on a viewer at (3,) scene units. If it is cancelled or fails, it can be called again.
+
+        travel: see `layout_around`. Boxes that are not shown stay where they are.
+        """
+        layout = layout_around(viewer, self.settings, travel)
         self.layout = None
-        for index, grid in enumerate(self.grids):
-            steps = grid.move(layout.origins[self.finest_level + index])
-            yield from subprogress(steps, index / len(self.grids), (index + 1) / len(self.grids))
-        self.layout = layout
+        levels = range(layout.first_level, self.settings.boxes)
+        for index, level in enumerate(levels):
+            steps = self.grid(level).move(layout.origins[level])
+            yield from subprogress(steps, index / len(levels), (index + 1) / len(levels))
+        self.layout, self._transitions = layout, {}
         yield Progress(1.0, "Computing voxels")
 
     def is_centered_on(self, viewer: np.ndarray) -> bool:
         """Return whether a move to a viewer at (3,) would change nothing."""
-        return self.layout is not None and is_same_layout(self.layout, self._layout_around(viewer))
-
-    def _layout_around(self, viewer: np.ndarray) -> BoxLayout:
-        return layout_around(viewer, self.settings)
+        return self.layout is not None and is_same_layout(self.layout, layout_around(viewer, self.settings))
 
     def hole(self, level: int) -> IntBox | None:
         """Return the voxels of `level` that finer voxels replace."""
-        return self.layout.hole(level) if level > self.finest_level else None
+        return self.layout.hole(level)
 
     def transition(self, level: int) -> Transition | None:
         """Return the transition from a level to the next coarser one; None for the outermost box, and for blocks, whose shape is exact."""
         if level == self.coarsest_level or self.settings.surface == "blocky":
             return None
-        width = min(self.settings.resolution // RESOLUTION_PER_WIDTH, MAX_WIDTH)
-        return Transition(self.layout.visible[level], width, self.grid(level + 1))
+        if level not in self._transitions:
+            self._transitions[level] = self._create_transition(level)
+        return self._transitions[level]
+
+    def _create_transition(self, level: int) -> Transition:
+        visible, coarser = self.layout.visible[level], self.grid(level + 1)
+        if self.layout.centers:
+            return ViewerTransition.around(self.layout.centers[level], *transition_range(self.settings), visible, coarser)
+        return BorderTransition(visible, min(self.settings.resolution // RESOLUTION_PER_WIDTH, MAX_WIDTH), coarser)
+
+    def has_one_sign(self, level: int, low: np.ndarray, high: np.ndarray) -> bool:
+        """Return whether the window `low` to `high` of a level is all solid or all empty, wherever transitions are.
+
+        Asked for again and again while transitions move. It is therefore remembered: voxels stay as they are.
+        """
+        if self.transition(level) is None:
+            return False
+        visible = self.layout.visible[level]
+        low, high = np.maximum(low, visible.low), np.minimum(high, visible.high)
+        key = (level, *low.tolist(), *high.tolist())
+        if key not in self._has_one_sign:
+            if len(self._has_one_sign) >= MAX_KNOWN_SIGNS:
+                self._has_one_sign.clear()
+            coarser = self.grid(level + 1).window((low - 1) // 2, high // 2 + 1)  # Also those next to the border.
+            self._has_one_sign[key] = surface_nets.have_one_sign(self.grid(level).window(low, high), coarser)
+        return self._has_one_sign[key]
 
     def window(self, level: int, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """Return the voxels `low` to `high` of a level.

@@ -95,6 +95,12 @@ class ClipboxSettings(Settings):
         minimum=1,
         maximum=8,
     )
+    smooth_moves: bool = in_boxes(
+        True,
+        "Blend each box into the next coarser one by the distance from the viewer, so that nothing changes at once when boxes move. "
+        "Updates are more frequent",
+        used_if={"surface": ("smooth",)},
+    )
     subdivided_boxes: int = in_detail(
         0,
         "Number of innermost boxes that subdivide the surface of the next coarser box instead of sampling the terrain",
@@ -126,7 +132,16 @@ class ClipboxSettings(Settings):
     @property
     def extent(self) -> float:
         """Side of the outermost box, scene units."""
-        return self.voxel_size * self.resolution * 2 ** (self.boxes - 1)
+        return self.extent_of(self.boxes - 1)
+
+    def extent_of(self, level: int) -> float:
+        """Return the side of a box, 0 for the innermost one, scene units."""
+        return self.voxel_size * self.resolution * 2**level
+
+    @property
+    def has_smooth_moves(self) -> bool:
+        """Whether transitions between boxes are measured from the viewer. Blocks have none: their shape is exact."""
+        return self.smooth_moves and self.surface == "smooth"
 
     @property
     def content_size(self) -> float:

@@ -7,11 +7,11 @@ Losasso and Hoppe, Geometry Clipmaps, 2004, section 4.3.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
-from .layout import IntBox, box_slices
+from .layout import CENTER_STEPS, IntBox, box_slices
 from .meshing.surface_nets import have_one_sign
 from .terrains.grids import lerp_axis
 from .toroidal_grid import ToroidalGrid
@@ -19,6 +19,7 @@ from .toroidal_grid import ToroidalGrid
 RESOLUTION_PER_WIDTH, MAX_WIDTH = 8, 8  # Voxels along a side of a box per voxel of the transition at its ends, and the most of these.
 NEAR, FAR = np.float32(0.75), np.float32(0.25)  # The weights of the two coarser voxels along an axis whose centers surround a voxel.
 MAX_DETAIL = 2.0  # Voxels by which densities may differ from coarser ones even at the border, where they would change with every move.
+DENSITY_MARGIN, VERTEX_WIDTH = 0.3, 0.6  # Of a transition, where densities have changed at its end, and where vertices change.
 MAX_DENSITY = 4.0  # Voxels to which densities are limited before they are blended. The closer to 0, the more slowly caves close.
 
 
@@ -33,13 +34,13 @@ class Transition:
     """
 
     visible: IntBox
-    width: int
+    width: float
     coarser: ToroidalGrid
 
-    @property
+    @cached_property
     def unblended(self) -> IntBox:
         """The voxels that it leaves as they are."""
-        return IntBox(self.visible.low + self.width, self.visible.high - self.width)
+        raise NotImplementedError
 
     def blend_window(self, low: np.ndarray, window: np.ndarray) -> np.ndarray:
         """Return a `window` (X, Y, Z) float16 of visible voxels from `low` (3,) on, whose densities are blended in place.
@@ -80,7 +81,7 @@ class Transition:
         """Return the blended densities of `voxels` (..., 3), whose own densities are `values` (...) float16. Hidden ones stay."""
         x, y, z = (self._distances(voxels[..., axis], axis) for axis in range(3))
         distances = np.minimum(np.minimum(x, y), z)
-        rows = np.nonzero((distances >= 0) & (distances < self.width))
+        rows = np.nonzero((distances < self._density_width) & self.visible.contains(voxels))
         if len(rows[0]) == 0:
             return values
         chosen = voxels[rows]
@@ -92,28 +93,55 @@ class Transition:
         return values
 
     def bounds(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """Return numbers (B, N) that determine the weights in boxes `low` to `high` (B, 3), together with the visible part of the boxes."""
+        raise NotImplementedError
+
+    def _distances(self, voxels: np.ndarray, axis: int) -> np.ndarray:
+        """Return how far the centers of `voxels` are from where the transition ends along an axis, in voxels: 0 and less there."""
+        raise NotImplementedError
+
+    def _blend(self, values: np.ndarray, coarse: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Return densities, float16, that have gone from `values` to coarser ones by `weights`."""
+        raise NotImplementedError
+
+    def _weights(self, distances: np.ndarray) -> np.ndarray:
+        """Return the weights of the coarser densities: 1 where the transition ends."""
+        weights = np.float32(1.0) - distances.astype(np.float32) * np.float32(1.0 / self._density_width)
+        return np.clip(weights, np.float32(0.0), np.float32(1.0), out=weights)
+
+    @property
+    def _density_width(self) -> float:
+        """Width of the transition of densities, voxels."""
+        return self.width
+
+    @property
+    def _limit(self) -> np.float32:
+        """The density to which others are limited."""
+        return np.float32(MAX_DENSITY * 0.5 * self.coarser.voxel_size)
+
+
+@dataclass(frozen=True)
+class BorderTransition(Transition):
+    """A transition by the distance from the border of the box, with which it moves in steps. Detail stays."""
+
+    @cached_property
+    def unblended(self) -> IntBox:
+        """The voxels that it leaves as they are."""
+        return IntBox(self.visible.low + self.width, self.visible.high - self.width)
+
+    def bounds(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """Return the bounds of the visible part (B, 6) that blended densities in boxes `low` to `high` (B, 3) depend on, 0 for others."""
         lows = np.where(low < self.visible.low + self.width, self.visible.low, 0)
         highs = np.where(high > self.visible.high - self.width, self.visible.high, 0)
         return np.concatenate([lows, highs], axis=1)
 
     def _distances(self, voxels: np.ndarray, axis: int) -> np.ndarray:
-        """Return how many voxels are between `voxels` and the nearer end of the visible part along an axis."""
         return np.minimum(voxels - self.visible.low[axis], self.visible.high[axis] - 1 - voxels)
 
-    def _weights(self, distances: np.ndarray) -> np.ndarray:
-        """Return the weights of the coarser densities by the distance from the border: 1 at the border."""
-        return np.maximum(np.float32(1.0) - distances.astype(np.float32) * np.float32(1.0 / self.width), np.float32(0.0))
-
-    def _limit(self, densities: np.ndarray) -> np.ndarray:
-        """Return densities as float32, limited to `MAX_DENSITY`."""
-        limit = np.float32(MAX_DENSITY * 0.5 * self.coarser.voxel_size)
-        return np.clip(densities, -limit, limit, dtype=np.float32)
-
     def _blend(self, values: np.ndarray, coarse: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Return densities, float16, that have gone from `values` to coarser ones by `weights`, except for differences that are detail."""
-        fine, detail = self._limit(values), np.float32(MAX_DETAIL * 0.5 * self.coarser.voxel_size)
-        change = self._limit(coarse) - fine
+        """Return blended densities, except for differences that are detail."""
+        fine, coarse = (np.clip(densities, -self._limit, self._limit, dtype=np.float32) for densities in (values, coarse))
+        detail, change = np.float32(MAX_DETAIL * 0.5 * self.coarser.voxel_size), coarse - fine
         change -= np.clip(change, -detail, detail)
         is_changed = change != 0.0
         if not is_changed.any():
@@ -121,6 +149,69 @@ class Transition:
         change *= weights
         change += fine
         return np.where(is_changed, change.astype(np.float16), values)
+
+
+@dataclass(frozen=True)
+class ViewerTransition(Transition):
+    """A transition by the distance from the viewer, which ends before the border: when boxes move, next to nothing changes there.
+
+    center: (3,) int64, the viewer in voxels / `CENTER_STEPS`. end: distance from the viewer at which it ends, voxels.
+    """
+
+    center: np.ndarray
+    end: float
+
+    @classmethod
+    def around(cls, center: np.ndarray, start: float, end: float, visible: IntBox, coarser: ToroidalGrid) -> "ViewerTransition":
+        """Return a transition from the distance `start` on."""
+        return cls(visible, end - start, coarser, center, end)
+
+    @cached_property
+    def unblended(self) -> IntBox:
+        """The voxels that it leaves as they are."""
+        position, start = self.center / CENTER_STEPS, self.end - self.width
+        return IntBox(np.ceil(position - start - 0.5).astype(np.int64), np.floor(position + start + 0.5).astype(np.int64))
+
+    def bounds(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """Return the coordinates of the viewer that weights in boxes `low` to `high` (B, 3) depend on, and where all are 1, (B, 4)."""
+        first, last = np.maximum(low, self.visible.low), np.minimum(high, self.visible.high)
+        offsets = np.stack([self._offsets(first, slice(None)), self._offsets(last - 1, slice(None))])
+        farthest = np.abs(offsets).max(axis=0)
+        nearest = np.where(np.sign(offsets).prod(axis=0) > 0, np.abs(offsets).min(axis=0), 0.0)
+        is_complete = (nearest >= self.end).any(axis=1, keepdims=True)
+        is_relevant = (farthest > self.end - self.width) & ~is_complete & (first < last).all(axis=1, keepdims=True)
+        return np.concatenate([np.where(is_relevant, 2 * self.center + 1, 0), is_complete], axis=1)
+
+    @property
+    def _density_width(self) -> float:
+        return (1.0 - DENSITY_MARGIN) * self.width
+
+    def _offsets(self, voxels: np.ndarray, axis: int | slice) -> np.ndarray:
+        """Return where the centers of `voxels` are relative to the viewer along an axis, voxels."""
+        return (2 * CENTER_STEPS * voxels + CENTER_STEPS - 2 * self.center[axis]) / (2.0 * CENTER_STEPS)
+
+    def _distances(self, voxels: np.ndarray, axis: int) -> np.ndarray:
+        return self.end - DENSITY_MARGIN * self.width - np.abs(self._offsets(voxels, axis))
+
+    def vertex_weights(self, corners: np.ndarray) -> np.ndarray:
+        """Return how far the vertices at `corners` (V, 3) have gone to the surface of the coarser level, (V,) float32 from 0 to 1."""
+        distances = np.abs(CENTER_STEPS * corners - self.center).max(axis=1).astype(np.float32) * np.float32(1.0 / CENTER_STEPS)
+        start = np.float32(self.end - VERTEX_WIDTH * self.width)
+        return np.clip((distances - start) * np.float32(1.0 / (self.end - start)), np.float32(0.0), np.float32(1.0))
+
+    def _blend(self, values: np.ndarray, coarse: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Return blended densities. Where one is solid and the other air, the surface passes when the limited ones balance."""
+        fine = values.astype(np.float32)
+        result = coarse - fine
+        result *= weights
+        result += fine
+        rows = np.nonzero(((fine > 0) != (coarse > 0)) & (np.maximum(np.abs(fine), np.abs(coarse)) > self._limit))
+        if len(rows[0]):
+            low, high = np.minimum(fine[rows], coarse[rows]), np.maximum(fine[rows], coarse[rows])
+            limited = [np.clip(densities[rows], -self._limit, self._limit) for densities in (fine, coarse)]
+            balance = limited[0] + (limited[1] - limited[0]) * np.broadcast_to(weights, fine.shape)[rows]
+            result[rows] = balance * np.maximum(np.where(balance > 0, high, -low) / self._limit, np.float32(1.0))
+        return result.astype(np.float16)
 
 
 @lru_cache(maxsize=512)

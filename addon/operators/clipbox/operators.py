@@ -147,7 +147,7 @@ class ClipboxFollowTool(FollowTool):
 
     def is_shown_at(self, terrain: SceneTerrain, viewer: np.ndarray) -> bool:
         """Return whether the boxes already lie as they would around `viewer` (3,)."""
-        return TerrainEngine.has_same_layout(terrain.settings, terrain.viewer, viewer)
+        return terrain.is_complete and TerrainEngine.has_same_layout(terrain.settings, terrain.viewer, viewer)
 
     def start_change(self, terrain: SceneTerrain, engine: TerrainEngine) -> TerrainChange:
         """Return the change of a new move."""
