@@ -33,7 +33,7 @@ from .height_levels import (
 
 MAX_COMPLETE = 1_300_000  # samples of a level that is eroded in memory, with up to 110 bytes per sample
 MIN_SIDE = 32  # samples along the longer side of the coarsest level, at least
-TILE = 768  # samples along the side of a tile, even
+TILE = 512  # rows of a tile, even; it has twice as many columns, since a band of rows is kept in memory
 BAND_SAMPLES = 1 << 20
 RATE = 0.36  # See `erosion_steps.erode`; for a strength of 1.
 REPOSE_GRADIENT = 0.8  # Rock rests at up to 39 degrees.
@@ -174,8 +174,8 @@ def _erode_bands(
     for top in range(0, level.rows, TILE):
         rows = slice(top, min(top + TILE, level.rows))
         changes, areas = buffers[:, : rows.stop - top]
-        for left in range(0, level.columns, TILE):
-            columns = slice(left, min(left + TILE, level.columns))
+        for left in range(0, level.columns, 2 * TILE):
+            columns = slice(left, min(left + 2 * TILE, level.columns))
             window = tuple(
                 slice(max(axis.start - HALO, 0), min(axis.stop + HALO, size))
                 for axis, size in ((rows, level.rows), (columns, level.columns))
