@@ -43,7 +43,7 @@ def halve_field(heights: np.ndarray) -> Iterator[Simplified]:
             first = choose_grid_collapses(meshes, lines, excess)
         points = (np.concatenate([axis, axis[samples]]) for axis in (x, y, z.astype(np.float32)))
         batch = MeshBatch(*points, lines, domains, triangles, sample_triangles, max(rows, columns))
-        triangles, removed = simplify(batch, excess, first)
+        triangles, removed = simplify(batch, excess, np.full(1, np.inf, np.float32), first)
         vertices = np.concatenate([np.arange(len(x), dtype=np.int32), samples])  # the simplifier numbers samples after all vertices
         samples, sample_triangles, first = vertices[removed.vertices], removed.triangles, None
         count = len(np.unique(triangles))

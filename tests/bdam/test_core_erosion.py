@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from farfield.addon.core.bdam.building import erosion, erosion_steps
 from farfield.addon.core.bdam.building.drainage import find_drainage
-from farfield.addon.core.bdam.building.erosion_steps import HALO, erode, erode_window, slide
+from farfield.addon.core.bdam.building.erosion_steps import HALO, deposit, erode, erode_window, slide
 from farfield.addon.core.bdam.building.height_grid import HeightGrid, encode_heights
 from farfield.addon.core.bdam.building.terrain_build import EROSION_END, READ_END, build_terrain
 from farfield.addon.core.bdam.settings import BdamSettings
@@ -90,6 +90,7 @@ def test_all_water_reaches_the_border_of_the_known_samples(rows, columns, seed):
 
 def test_rivers_only_lower_the_ground_and_dig_no_pits(monkeypatch):
     monkeypatch.setattr(erosion_steps, "SLIDES", 0)
+    monkeypatch.setattr(erosion_steps, "FLOOR_ROUNDS", 0)
     y, x = np.mgrid[-1:1:81j, -1:1:81j]
     cone = (1000.0 - 700.0 * np.hypot(x, y + 0.1)).astype(np.float32)
     eroded, areas = erode(cone, 100.0, 0.3, 1)
@@ -145,6 +146,47 @@ def test_tiles_meet_without_seams_and_voids_stay(tmp_path, monkeypatch):
     eroded, is_still_known = HeightGrid(tmp_path / "eroded.raw", ROWS, COLUMNS).read(slice(0, ROWS), slice(0, COLUMNS))
     assert np.array_equal(is_still_known, is_known) and np.array_equal(eroded[~is_known], steps[~is_known])
     assert (eroded != steps)[is_known].mean() > 0.9
+
+
+def erode_steps(steps, folder):
+    """Heights (H, W) int32 in steps after erosion."""
+    source, out = (HeightGrid(folder / name, *steps.shape) for name in ("source.raw", "eroded.raw"))
+    encode_heights(steps, np.ones(steps.shape, bool)).astype("<i4").tofile(source.path)
+    run_to_end(erosion.erode_heights(source, out.path, 100.0, 1.0))
+    return out.read(slice(0, steps.shape[0]), slice(0, steps.shape[1]))[0]
+
+
+@pytest.mark.parametrize(("sea", "floor"), [(0, -300), (0, 0), (700, 700)])
+@pytest.mark.parametrize("max_complete", [1_000_000, 5000])
+def test_the_sea_keeps_its_heights_exactly(tmp_path, monkeypatch, sea, floor, max_complete):
+    monkeypatch.setattr(erosion, "MAX_COMPLETE", max_complete)
+    monkeypatch.setattr(erosion, "TILE", 96)
+    ground = 20.0 * hills(ROWS, COLUMNS)
+    ground = np.maximum(100.0 * (ground - np.quantile(ground, 0.4)) + sea, sea).astype(np.int32)
+    ground[:, 200:] += 4000  # a coast that is steeper than any ground rests
+    ground[:, 190:200] = sea
+    ground[5:9, 192:196] = floor
+    eroded = erode_steps(ground, tmp_path)
+    assert np.array_equal(eroded[ground <= sea], ground[ground <= sea])
+    assert (eroded != ground)[ground > sea].mean() > 0.8 and eroded[ground > sea].min() >= sea
+
+
+def test_ground_without_a_sea_has_none(tmp_path):
+    ground = (100.0 * rough_hills(has_void=False)).astype(np.int32)
+    grid = HeightGrid(tmp_path / "grid.raw", *ground.shape)
+    encode_heights(ground, np.ones(ground.shape, bool)).astype("<i4").tofile(grid.path)
+    assert erosion.find_sea_level(grid) == -np.inf
+
+
+def test_rivers_fill_the_bottom_of_their_valleys_and_no_slopes():
+    y, x = np.mgrid[0:80, -40:41].astype(np.float32)
+    valley = 6.0 * np.abs(x) + 0.2 * y
+    areas = np.where(x == 0, 1e5, 1.0)
+    filled = deposit(valley, areas.ravel(), 8.0)
+    inner = slice(30, 50)
+    assert np.array_equal(filled[inner][:, np.abs(x[0]) > 20], valley[inner][:, np.abs(x[0]) > 20])
+    assert np.abs(np.diff(filled[inner, 39:42])).max() < 3.0 and (filled[inner, 40] > valley[inner, 40] + 3.0).all()
+    assert np.array_equal(deposit(valley, np.ones(valley.size), 8.0)[inner, 40] > valley[inner, 40] + 0.1, np.zeros(20, bool))
 
 
 def build_steps(out, **options):

@@ -154,3 +154,14 @@ def test_uniform_cuts_are_consistent_and_within_their_error(store):
         assert cut.max_error <= max_error
         assert count_cracks(build_cut_mesh(store, cut)) == 0
     assert len(cut) == 2
+
+
+def test_a_cliff_needs_few_triangles(tmp_path):
+    """Errors of coarse patches do not reach its height, although its samples are far from any triangle that leaves its edge."""
+    size, cliff = 257, 400.0
+    y, x = np.mgrid[:size, :size]
+    heights = 0.05 * hills(size, size) + cliff * (x + 0.4 * y + 6.0 * np.sin(0.11 * y) + 3.0 * np.sin(0.37 * y) > 0.7 * size)
+    with TerrainStore(build_store(tmp_path / "cliff", heights)) as store:
+        assert store.levels[0].errors.max() < 0.1 * cliff
+        cut = extract_uniform_cut(store, 0.1 * cliff)
+        assert cut.count_triangles(store).sum() < 700, "the edges of the cliff have about 500 samples"

@@ -34,7 +34,7 @@ from farfield.addon.core.jobs.progress import run_to_end
 from small_terrain_stores import add_texture, build_store, colors, hills
 
 Image = pytest.importorskip("PIL.Image")
-zstandard = pytest.importorskip("zstandard")
+pytest.importorskip("zstandard")
 SIZE = 49  # samples per side
 VIEWER = Viewer(
     look_at(np.array([0.0, -900.0, 500.0]), np.zeros(3)), Projection("perspective", (-0.5, 0.5, -0.375, 0.375), (800, 600), 1.0, 1e5)
@@ -83,9 +83,12 @@ def change_numbers(folder: Path, block: int, dtype: str, place: int, value: floa
     """Change a number in a block of the structure."""
 
     def change(blocks: list[bytes]) -> None:
-        numbers = np.frombuffer(blocks[block], dtype).copy()
-        numbers[place] = value
-        blocks[block] = numbers.tobytes()
+        columns = structure.COLUMNS[(block - 1) % structure.ARRAYS_PER_LEVEL]
+        count = len(blocks[block - (block - 1) % structure.ARRAYS_PER_LEVEL]) // 8
+        content = blocks[block]
+        numbers = np.frombuffer(content, dtype).copy() if dtype == "<u8" else structure.decompress(content, count, columns, dtype).copy()
+        numbers.reshape(-1)[place] = value
+        blocks[block] = numbers.tobytes() if dtype == "<u8" else structure.compress(numbers)
 
     change_structure(folder, change)
 
@@ -268,8 +271,8 @@ def test_a_tile_that_is_no_image_or_too_large_is_named_and_not_shown(folder, nam
 
 
 def test_streams_without_bytes_cannot_claim_more_vertices_than_a_patch_has(folder):
-    """Streams of width 0 have no bytes, however many values they have."""
-    block = zstandard.ZstdCompressor().compress(bytes(8))
+    """Zeros have no bytes, however many of them there are."""
+    block = bytes([1, 0, 0, 0, 0, 0]) + b"\xff" * 1000
     change_patch(folder, 0, block)
     for count in (30_000_000, 2**31 - 1):
         change_numbers(folder, 4, "<u4", 0, count)
@@ -325,9 +328,7 @@ def test_any_content_is_refused_or_can_be_used(intact, tmp_path_factory, data):
         value = data.draw(st.floats(width=32) if kind == "f" else st.integers(0, 100) | st.just(2**31 - 1))
         change_numbers(folder, block, dtype, data.draw(st.integers(0, 1)), value)
     if data.draw(st.booleans()):
-        content = zstandard.ZstdCompressor().compress(
-            data.draw(st.binary(max_size=200) | st.binary(max_size=30).map(lambda part: bytes(10) + part))
-        )
+        content = data.draw(st.binary(max_size=200) | st.binary(max_size=30).map(lambda part: bytes(10) + part))
         change_patch(folder, data.draw(st.integers(0, 30)), content)
     try:
         with TerrainStore(folder) as store:

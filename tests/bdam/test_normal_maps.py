@@ -16,7 +16,7 @@ from farfield.addon.core.bdam.building.height_grid import HeightGrid, encode_hei
 from farfield.addon.core.bdam.building.sample_normals import SampleNormals
 from farfield.addon.core.bdam.building.terrain_build import build_terrain
 from farfield.addon.core.bdam.settings import BdamSettings, ViewSettings
-from farfield.addon.core.bdam.store import curvature, structure
+from farfield.addon.core.bdam.store import curvature
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
 from farfield.addon.core.bdam.textures.grid import BORDER, STEP, TILE_SIZE
 from farfield.addon.core.bdam.view.engine import BdamEngine
@@ -95,19 +95,6 @@ def test_a_square_shows_the_part_of_each_map_that_covers_it(tmp_path, pixels, co
                 tile_level, tile = int(tiles.index.levels[shown.number]), tiles.index.tiles[shown.number]
                 expected = (BORDER + STEP * (cells * 2.0**tile_level / store.tree.side - tile)) / TILE_SIZE
                 assert np.allclose(shown.scale * own + shown.offset, expected) and level - tile_level == found[1]
-
-
-def test_a_store_of_an_earlier_version_has_no_normal_maps(tmp_path, monkeypatch):
-    folder = build(tmp_path / "store", hills(33, 33))
-    header, levels, _ = structure.read_structure(folder)
-    values = {name: value for name, value in vars(header).items() if name != "has_normals"}
-    (folder / structure.STRUCTURE_FILE).unlink()
-    with monkeypatch.context() as patched:
-        patched.setattr(structure, "VERSION", 3)
-        patched.setattr(structure, "asdict", lambda _: values)
-        structure.write_structure(folder, header, levels)
-    with TerrainStore(folder) as store:
-        assert store.normals is None and store.header.rows == 33
 
 
 @contextmanager

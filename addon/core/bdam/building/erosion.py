@@ -33,16 +33,17 @@ from .height_levels import (
 
 MAX_COMPLETE = 1_300_000  # samples of a level that is eroded in memory, with up to 110 bytes per sample
 MIN_SIDE = 32  # samples along the longer side of the coarsest level, at least
-TILE = 768  # samples along the side of a tile, even
+TILE = 512  # rows of a tile, even; it has twice as many columns, since a band of rows is kept in memory
 BAND_SAMPLES = 1 << 20
-RATE = 0.3  # See `erosion_steps.erode`; for a strength of 1.
+RATE = 0.36  # See `erosion_steps.erode`; for a strength of 1.
 REPOSE_GRADIENT = 0.8  # Rock rests at up to 39 degrees.
-MAX_SHIFT = 1.2  # samples by which the changes of a coarser level are moved
+MAX_SHIFT = 2.0  # samples by which the changes of a coarser level are moved
+MIN_SEA = 64  # flat samples
 REDUCE_END, COMPLETE_END = 0.1, 0.2  # progress at which all levels are reduced, and at which the coarse ones are eroded
 
 
 def erode_heights(source: HeightGrid, path: Path, steps_per_cell: float, strength: float) -> Steps[None]:
-    """Write the eroded heights of a grid to the file `path`. Unknown samples stay as they are.
+    """Write the eroded heights of a grid to the file `path`. Unknown samples and the sea stay as they are.
 
     steps_per_cell: how many steps of height are as long as a cell. strength: 1 for natural valleys.
 
@@ -51,7 +52,8 @@ def erode_heights(source: HeightGrid, path: Path, steps_per_cell: float, strengt
     """
     repose, rate = REPOSE_GRADIENT * steps_per_cell, RATE * strength
     with convert_os_errors(f'"{source.path}" cannot be eroded'):
-        levels = [finest_level(source)]
+        sea = find_sea_level(source)
+        levels = [_mask_sea(finest_level(source), sea)]
         while levels[-1].rows * levels[-1].columns > MAX_COMPLETE:
             levels.append(reduce_level(levels[-1], level_path(source, len(levels), "reduced"), BAND_SAMPLES))
             yield Progress(REDUCE_END * (1.0 - 0.25 ** len(levels)), "Eroding")
@@ -84,6 +86,37 @@ def erode_heights(source: HeightGrid, path: Path, steps_per_cell: float, strengt
             coarser = tuple(open_level(path, level.rows, level.columns) for path in paths)
         temporary.replace(path)
         delete_levels(source)
+
+
+def find_sea_level(grid: HeightGrid) -> float:
+    """Return the height of the sea in steps: 0 or else the lowest height, if enough ground is flat there; minus infinity without a sea.
+
+    Raises:
+        FileError: the file cannot be read.
+    """
+    lowest = np.inf
+    counts = np.zeros(2, np.int64)  # The numbers of flat samples at 0, and at the lowest height so far.
+    for rows in split_rows(0, grid.rows, grid.columns):
+        steps, is_known = grid.read(rows, slice(0, grid.columns))
+        inner = steps[:-1, :-1]
+        flat = inner[is_known[:-1, :-1] & (inner == steps[1:, :-1]) & (inner == steps[:-1, 1:])]
+        low = steps.min(where=is_known, initial=np.iinfo(np.int32).max)
+        if low < lowest:
+            lowest, counts[1] = low, 0
+        counts += [np.count_nonzero(flat == level) for level in (0, lowest)]
+    found = np.flatnonzero(counts >= MIN_SEA)
+    return float((0.0, lowest)[found[0]]) if len(found) else -np.inf
+
+
+def _mask_sea(level: Level, sea: float) -> Level:
+    """Return a level in which samples that are not above the sea are unknown: water ends there, and nothing changes them."""
+
+    def read(rows: slice, columns: slice) -> np.ndarray:
+        heights = level.read(rows, columns)
+        heights[heights <= sea] = np.nan
+        return heights
+
+    return Level(level.rows, level.columns, read)
 
 
 def _progress(end: float, rows: slice, level: Level) -> Progress:
@@ -141,8 +174,8 @@ def _erode_bands(
     for top in range(0, level.rows, TILE):
         rows = slice(top, min(top + TILE, level.rows))
         changes, areas = buffers[:, : rows.stop - top]
-        for left in range(0, level.columns, TILE):
-            columns = slice(left, min(left + TILE, level.columns))
+        for left in range(0, level.columns, 2 * TILE):
+            columns = slice(left, min(left + 2 * TILE, level.columns))
             window = tuple(
                 slice(max(axis.start - HALO, 0), min(axis.stop + HALO, size))
                 for axis, size in ((rows, level.rows), (columns, level.columns))

@@ -1,10 +1,11 @@
-"""Erosion of heights in memory: rivers cut valleys, and steep ground slides.
+"""Erosion of heights in memory: rivers cut valleys and leave deposits, and steep ground slides.
 
 Rivers lower heights by the stream-power law: the rate is the gradient times the square root of the drained area, so that the law has no
 scale and cells are the unit of length. A step of time is implicit: from the outlets upwards, each sample moves towards the one that it
 flows to (Braun and Willett, A very efficient O(n), implicit and parallel method to solve the stream power equation governing fluvial
 incision and landscape evolution, 2013). Ground that is steeper than the angle of repose moves to its lower neighbors, and all ground creeps
-a little (thermal erosion: Musgrave, Kolb and Mace, The synthesis and rendering of eroded fractal terrains, 1989).
+a little (thermal erosion: Musgrave, Kolb and Mace, The synthesis and rendering of eroded fractal terrains, 1989). Before the last step,
+large rivers fill the floors of their valleys, into which that step cuts their beds.
 
 `erode` finds the drainage of a complete grid. `erode_window` works on a part of a finer grid, for which a coarser one is already eroded: it
 inherits the areas of rivers from there, and follows water over a few samples only, so that a sample depends on those within HALO.
@@ -13,6 +14,7 @@ Heights (H, W) float32 are NaN where they are unknown; such samples stay as they
 """
 
 import numpy as np
+from scipy import ndimage
 
 from .drainage import OFFSETS, PAIRS, Drainage, draw_lengths, find_drainage, find_receivers, measure_lengths, pair_windows
 
@@ -26,7 +28,14 @@ ROUGHNESS = 0.9
 SLIDES = 4  # rounds of moving ground per step
 SLIDE_RATE = 0.1  # part of an excessive difference that moves per round; stable below 0.125
 CREEP_RATE = 0.002  # part of a difference that moves per round
-HALO = WINDOW_STEPS * (SLIDES + 2 * REACH + 3)  # samples; even, since windows begin with 2 x 2 samples of the coarser level
+FLOOR_AREA = 8000.0  # cells from which on a river covers the whole floor of its valley with its deposits
+FLOOR_REACH = 8  # samples from a river within which it leaves deposits
+FLOOR_ROUNDS = 16  # rounds of smoothing deposits: they reach that many samples
+# Deposits end where ground is higher than the lowest sample within reach by these parts of the stable difference of heights per cell.
+FLOOR_HEIGHT, MAX_FLOOR_HEIGHT = 0.75, 2.25
+HALO = (
+    WINDOW_STEPS * (SLIDES + 2 * REACH + 3) + FLOOR_REACH + FLOOR_ROUNDS
+)  # samples; even, since windows begin with 2 x 2 samples of the coarser level
 
 
 def erode(heights: np.ndarray, repose: float, rate: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -34,11 +43,13 @@ def erode(heights: np.ndarray, repose: float, rate: float, seed: int) -> tuple[n
 
     repose: largest stable difference of heights per cell. rate: 1 for valleys that are cut completely. seed: of random numbers.
     """
-    for _ in range(STEPS):
+    for step in range(STEPS):
         heights = slide(heights, repose, SLIDES)
         drainage = find_drainage(roughen(heights, (0, 0), seed), seed)
         areas = drainage.accumulate()
         heights = _incise(heights, drainage, _cutting_factors(areas, drainage.lengths, rate / STEPS))
+        if step == STEPS - 2:
+            heights = deposit(heights, areas, repose)
     return heights, areas.reshape(heights.shape).astype(np.float32)
 
 
@@ -51,7 +62,7 @@ def erode_window(
     inherited: areas of the coarser samples, in cells of this grid. first: even row and column of the window in the grid.
     """
     diagonals = draw_lengths(first, heights.shape, seed)
-    for _ in range(WINDOW_STEPS):
+    for step in range(WINDOW_STEPS):
         heights = slide(heights, repose, SLIDES)
         receivers = find_receivers(roughen(heights, first, seed), diagonals)
         flows = (receivers != np.arange(len(receivers))).astype(np.float32)
@@ -65,6 +76,8 @@ def erode_window(
         for _ in range(REACH):
             new = np.minimum(old, (old + factors * new[receivers]) / (1.0 + factors))
         heights = new.reshape(heights.shape)
+        if step == WINDOW_STEPS - 2:
+            heights = deposit(heights, areas, repose)
     return heights, areas.reshape(heights.shape)
 
 
@@ -108,6 +121,24 @@ def slide(heights: np.ndarray, repose: float, rounds: int) -> np.ndarray:
             change[first] -= moved
             change[second] += moved
         heights = heights + change
+    return heights
+
+
+def deposit(heights: np.ndarray, areas: np.ndarray, repose: float) -> np.ndarray:
+    """Return heights (H, W) with the deposits of rivers: narrow valleys get floors, the flatter the larger their rivers are.
+
+    areas: (N,), see `erode`. repose: see `erode`. Ground that is near a river and hardly higher approaches the mean of its neighbors.
+    """
+    rivers = ndimage.maximum_filter(areas.reshape(heights.shape).astype(np.float32), 2 * FLOOR_REACH + 1)
+    low = ndimage.minimum_filter(np.where(np.isnan(heights), np.float32(np.inf), heights), 2 * FLOOR_REACH + 1)
+    excess = (heights - low) / np.float32(repose) - np.float32(FLOOR_HEIGHT)
+    weights = np.clip(rivers / np.float32(FLOOR_AREA), 0.0, 1.0)
+    weights *= np.clip(1.0 - excess / np.float32(MAX_FLOOR_HEIGHT - FLOOR_HEIGHT), 0.0, 1.0)
+    weights *= np.float32(0.125)
+    for _ in range(FLOOR_ROUNDS):
+        padded = np.pad(heights, 1, mode="edge")
+        change = padded[:-2, 1:-1] + padded[2:, 1:-1] + padded[1:-1, :-2] + padded[1:-1, 2:] - np.float32(4.0) * heights
+        heights = heights + weights * np.nan_to_num(change)
     return heights
 
 

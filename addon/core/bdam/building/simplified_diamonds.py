@@ -15,7 +15,13 @@ from .vertical_errors import Measurement, measure_triangles
 
 # The next level measures so many samples of a triangle: without any, errors grow unseen, and all of them would take too long.
 MAX_SAMPLES_PER_TRIANGLE = 6
+CLIFF_RATIO = 2.0  # A sample is at a cliff if it is so many times as far from its neighbors as the error of its diamond.
+NEARBY = 2  # samples around one that tell whether it is at a cliff
+OPPOSITE = [(row, column) for row in range(NEARBY + 1) for column in range(-NEARBY, NEARBY + 1) if (row, column) > (0, 0)]
 MAX_MEASURED_SAMPLES = 1 << 14  # Samples are measured in such chunks, so that they do not decide how much memory workers need.
+# More than half of the vertices stay if the error would grow by more than this factor from one level to the next, as along cliffs. Diamonds
+# are halved in any case if they have more than MAX_VERTICES times the square of the cells of a leaf; half as many are usual.
+MAX_ERROR_GROWTH, MAX_VERTICES = 2.5, 4
 GRID_COLLAPSE_FRACTION = 0.6  # The first collapses of a grid remove this fraction of the vertices that are to be removed.
 
 
@@ -40,18 +46,25 @@ def simplify_diamonds(
         diamond_of = np.full(len(triangles), -1, np.int64)
         for column in range(2):
             diamond_of[pairs[:, column]] = np.arange(len(diamonds))
-        meshes = weld_patches(tree, children, diamond_of[np.searchsorted(triangles, children.indices >> 1)])
+        of_children = diamond_of[np.searchsorted(triangles, children.indices >> 1)]
+        meshes = weld_patches(tree, children, of_children)
     lines, sides = classify_vertices(tree, meshes, corners[pairs[:, 0]])
-    excess = np.bincount(meshes.domains, minlength=len(diamonds)) // 2
+    counts = np.bincount(meshes.domains, minlength=len(diamonds))
+    excess, limits = counts // 2, np.full(len(diamonds), np.inf, np.float32)
+    if children is not None:
+        errors = np.zeros(len(diamonds), np.float32)
+        np.maximum.at(errors, of_children, children.errors)
+        is_limited = counts <= MAX_VERTICES * tree.leaf_cells**2
+        limits[is_limited] = MAX_ERROR_GROWTH * np.maximum(errors[is_limited], 1.0)
     first = choose_grid_collapses(meshes, lines, excess) if children is None else None
     batch = _to_batch(meshes, lines, int(np.ptp(corners[0], axis=0).max()))
-    simplified, removed = simplify(batch, excess, first)
+    simplified, removed = simplify(batch, excess, limits, first)
     if children is None and _is_complete(meshes, grid):
         measured = _measure_removed(batch, simplified, removed)
     else:
         corner_points = np.stack([meshes.x.take(simplified), meshes.y.take(simplified)], axis=2)
         measured = measure_triangles(corner_points, meshes.z.take(simplified), grid)
-    samples = _choose_samples(batch, simplified, removed)
+    samples = _choose_samples(batch, simplified, removed, measured, grid)
     return _divide(meshes, sides, simplified, samples, triangles, pairs, measured)
 
 
@@ -71,8 +84,11 @@ def _measure_removed(batch: MeshBatch, triangles: np.ndarray, removed: RemovedSa
     return Measurement(errors, np.zeros(len(triangles), bool))
 
 
-def _choose_samples(batch: MeshBatch, triangles: np.ndarray, removed: RemovedSamples) -> RemovedSamples:
-    """Return the samples that the next level measures: of each triangle the one with the largest distance, and a few random ones."""
+def _choose_samples(
+    batch: MeshBatch, triangles: np.ndarray, removed: RemovedSamples, measured: Measurement, grid: HeightGrid
+) -> RemovedSamples:
+    """Return the samples that the next level measures: of each triangle the one with the largest distance, a few random ones, and all at
+    cliffs, which are far from the ground as soon as an edge moves past them."""
     counts = np.bincount(removed.triangles, minlength=len(triangles))
     is_crowded = gather(counts, removed.triangles) > MAX_SAMPLES_PER_TRIANGLE
     crowded = RemovedSamples(removed.vertices.compress(is_crowded), removed.triangles.compress(is_crowded))
@@ -84,9 +100,37 @@ def _choose_samples(batch: MeshBatch, triangles: np.ndarray, removed: RemovedSam
     order = np.argsort(crowded.triangles.astype(np.uint64) << np.uint64(32) | noise, kind="stable")
     counts[counts <= MAX_SAMPLES_PER_TRIANGLE] = 0
     ranks = concatenate_ranges(0, counts)
-    kept = gather(np.flatnonzero(is_crowded), order.compress(ranks < MAX_SAMPLES_PER_TRIANGLE))
+    x, y = batch.x[crowded.vertices], batch.y[crowded.vertices]
+    domains = batch.domains[triangles[:, 0]]
+    errors = np.zeros(int(domains.max(initial=0)) + 1, np.float32)
+    np.maximum.at(errors, domains, measured.errors)
+    is_at_cliff = measure_second_differences(x, y, grid) > CLIFF_RATIO * np.maximum(errors, 1.0)[domains[crowded.triangles]]
+    is_kept = ranks < MAX_SAMPLES_PER_TRIANGLE
+    is_kept |= gather(is_at_cliff, order)
+    kept = gather(np.flatnonzero(is_crowded), order.compress(is_kept))
     chosen = np.concatenate([np.flatnonzero(~is_crowded), kept])
     return RemovedSamples(gather(removed.vertices, chosen), gather(removed.triangles, chosen))
+
+
+def measure_second_differences(x: np.ndarray, y: np.ndarray, grid: HeightGrid) -> np.ndarray:
+    """Return how far samples (N,) are from the mean of two opposite neighbors, the largest of all pairs, (N,) float32 in steps."""
+    differences = np.zeros(len(x), np.float32)
+    if not len(x):
+        return differences
+    left, right = max(int(x.min()) - NEARBY, 0), min(int(x.max()) + NEARBY + 1, grid.columns)
+    for band in split_rows(int(y.min()), int(y.max()) + 1, right - left):
+        members = np.flatnonzero((y >= band.start) & (y < band.stop))
+        first = max(band.start - NEARBY, 0)
+        heights, _ = grid.read(slice(first, min(band.stop + NEARBY, grid.rows)), slice(left, right))
+        heights = np.pad(heights, NEARBY, mode="edge")
+        places = (y[members] - first + NEARBY) * heights.shape[1] + x[members] - left + NEARBY
+        flat, largest = heights.reshape(-1), np.zeros(len(members), np.int64)
+        own = 2 * flat[places].astype(np.int64)
+        for row, column in OPPOSITE:
+            offset = row * heights.shape[1] + column
+            np.maximum(largest, np.abs(own - flat[places + offset] - flat[places - offset]), out=largest)
+        differences[members] = np.float32(0.5) * largest
+    return differences
 
 
 def _measure_samples(batch: MeshBatch, triangles: np.ndarray, removed: RemovedSamples) -> np.ndarray:

@@ -97,7 +97,7 @@ class BuildTasks:
     def _encode(self, level: int, indices: np.ndarray, errors: np.ndarray, patches: list[Patch]) -> EncodedPatches:
         corners = self._tree.triangle_corners(level, indices)
         is_leaf, gradient_step = level == self._tree.leaf_level, self._folder.parameters.gradient_step
-        blocks = [encode_patch(patch, corner.min(axis=0), is_leaf, gradient_step) for patch, corner in zip(patches, corners, strict=True)]
+        blocks = [encode_patch(patch, corner, is_leaf, gradient_step) for patch, corner in zip(patches, corners, strict=True)]
         outlines = [count_outline_triangles(patch, corner) for patch, corner in zip(patches, corners, strict=True)]
         return EncodedPatches(
             indices,

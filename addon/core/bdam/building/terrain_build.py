@@ -33,7 +33,7 @@ from .voids import VoidCounts, count_voids, fill_small_voids
 from .work_folder import ADVICE, PARAMETERS_FILE, BuildParameters, LevelLayout, WorkFolder
 
 TASKS_MODULE = "addon.core.bdam.building.tasks"
-FORMAT_VERSION = 6  # version of the files in a work folder
+FORMAT_VERSION = 7  # version of the files in a work folder
 VOIDS_FILE = "heights.voids"  # the counts of voids
 FILLED_FILE = "heights.filled"  # marks that voids were filled
 SOURCE_HEIGHTS_FILE = "source-heights.raw"  # the heights before erosion

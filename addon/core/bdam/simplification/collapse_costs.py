@@ -14,7 +14,7 @@ from ...geometry.vertex_rings import VertexRings
 FREE, HORIZONTAL, VERTICAL, DIAGONAL, ANTIDIAGONAL, LOCKED = range(6)  # what a vertex may move along
 DIRECTIONS = np.array([(0, 0), (1, 0), (0, 1), (1, 1), (1, -1), (0, 0)], np.float32)
 MAX_ENTRIES = 1 << 16  # entries of a (targets, triangles, vertices) array
-TARGET_BITS = np.int32(15)  # the low bits of a cost store the row of its target; MAX_DEGREE is less
+TARGET_BITS = np.int32(31)  # the low bits of a cost store the row of its target; MAX_DEGREE is less
 INFINITY_BITS = np.float32(np.inf).view(np.int32)
 
 

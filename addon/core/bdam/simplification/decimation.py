@@ -49,14 +49,17 @@ class MeshBatch:
     extent: int
 
 
-def simplify(batch: MeshBatch, excess: np.ndarray, first: tuple[np.ndarray, np.ndarray] | None = None) -> tuple[np.ndarray, RemovedSamples]:
+def simplify(
+    batch: MeshBatch, excess: np.ndarray, limits: np.ndarray, first: tuple[np.ndarray, np.ndarray] | None = None
+) -> tuple[np.ndarray, RemovedSamples]:
     """Return the triangles (N, 3) int32 of the simplified meshes, with the vertices of the input, and the samples that they approximate.
 
     Args:
-        excess: (D,) int, how many vertices to remove from each domain. Fewer are removed where locked vertices prevent it. first: vertices
-            (N,) intp that share no triangle, and their targets (N,) intp, to collapse at the start.
+        excess: (D,) int, how many vertices to remove from each domain. Fewer are removed where locked vertices prevent it. limits: (D,)
+            float32, the largest costs of collapses. first: vertices (N,) intp that share no triangle, and their targets (N,) intp, to
+            collapse at the start.
     """
-    state = _Decimation(batch, excess)
+    state = _Decimation(batch, excess, limits)
     if first is not None:
         vertices, targets = first
         state.collapse(vertices, targets, build_rings(state.triangles, len(batch.lines)), is_checked=False)
@@ -71,7 +74,7 @@ def simplify(batch: MeshBatch, excess: np.ndarray, first: tuple[np.ndarray, np.n
 class _Decimation:
     """The current meshes, and costs of vertices. Those of vertices whose stars have changed are estimates until they are needed."""
 
-    def __init__(self, batch: MeshBatch, excess: np.ndarray) -> None:
+    def __init__(self, batch: MeshBatch, excess: np.ndarray, limits: np.ndarray) -> None:
         self.lines, self.domains = batch.lines, batch.domains.astype(np.intp)
         self.triangles = np.ascontiguousarray(batch.triangles.T.astype(np.intp))
         count = len(batch.lines)
@@ -81,7 +84,7 @@ class _Decimation:
         self._excess, self._tolerated = excess, TOLERATED_EXCESS * excess
         self._is_estimate = batch.lines != LOCKED
         self._costs, self._targets = np.where(self._is_estimate, 0.0, np.inf).astype(np.float32), np.zeros(count, np.intp)
-        self._cutoffs = np.full(len(excess), np.inf, np.float32)
+        self._limits, self._cutoffs = limits, limits.copy()
         self._numbers = (np.arange(count) - starts[batch.domains]).astype(np.uint32)  # within the domain
 
     @property
@@ -135,7 +138,7 @@ class _Decimation:
         is_unfinished = self.is_unfinished
         used = np.flatnonzero((self._costs < np.inf) & is_unfinished.take(self.domains))
         cutoffs = find_cutoffs(self._costs.take(used), self.domains.take(used), (CANDIDATE_RATIO * self._excess).astype(np.int64))
-        self._cutoffs = np.where(is_unfinished, cutoffs, np.float32(-1.0))
+        self._cutoffs = np.where(is_unfinished, np.minimum(cutoffs, self._limits), np.float32(-1.0))
 
     def _mark_changes(self, removed: np.ndarray, star: np.ndarray, rings: VertexRings) -> None:
         """Mark the costs around the vertices `removed` (N,), the corners of whose stars are `star` (C,), as estimates."""

@@ -1,7 +1,8 @@
 """The structure file of a store: everything but the contents of patches and texture tiles.
 
 A file of blocks (see `files.blocks`) of the kind `bdamstru`. Block 0 is a JSON object, see `StoreHeader`. Then follow, for every level from
-0, five blocks with little-endian arrays over the N patches of the level in ascending order of their bintree indices:
+0, five blocks with little-endian arrays over the N patches of the level in ascending order of their bintree indices. All but the first one
+are compressed by Zstandard: the lowest bytes of the first column, then the second lowest ones and so on, then those of the other columns.
 
 | block | content |
 |---|---|
@@ -22,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import zstandard
 
 from ...errors import FileError
 from ...files import file_access
@@ -33,9 +35,12 @@ from ..tree import Tree
 
 KIND, STRUCTURE_FILE = "bdamstru", "structure.bdam"
 # The version of the contents of the header. 2: gradients of patches have another name, errors include the curvature of geographic grids. 3:
-# structures name the files that they belong to, patches have triangles of outlines. 4: stores may have normal maps.
-VERSION, OLDEST_VERSION = 4, 3
+# structures name the files that they belong to, patches have triangles of outlines. 4: stores may have normal maps. 5: patches are Rice
+# codes, arrays of structures are compressed.
+VERSION = OLDEST_VERSION = 5
 ARRAYS_PER_LEVEL = 5
+COLUMNS = (1, 1, 2, 3, 6)  # numbers of a patch in each of them
+COMPRESSION_LEVEL = 9
 FRAMES = {"projected": ProjectedFrame, "geographic": GeographicFrame}
 # Limits of what a build writes, with room to spare. Numbers within them fit into the types of all arrays that are computed from them.
 MAX_SAMPLES = 2**28  # along each side
@@ -114,10 +119,10 @@ def write_structure(folder: Path, header: StoreHeader, levels: list[Level]) -> N
         writer.append(json.dumps({"version": VERSION, **asdict(header)}, sort_keys=True).encode())
         for level in levels:
             writer.append(level.indices.astype("<u8").tobytes())
-            writer.append(level.errors.astype("<f4").tobytes())
-            writer.append(level.heights.astype("<i4").tobytes())
-            writer.append(level.counts.astype("<u4").tobytes())
-            writer.append(np.concatenate([level.low, level.high], axis=1).astype("<f4").tobytes())
+            writer.append(compress(level.errors[:, None].astype("<f4")))
+            writer.append(compress(level.heights.astype("<i4")))
+            writer.append(compress(level.counts.astype("<u4")))
+            writer.append(compress(np.concatenate([level.low, level.high], axis=1).astype("<f4")))
         writer.finish()
     copy_to_backup(folder / STRUCTURE_FILE)
 
@@ -149,9 +154,9 @@ def _read_file(path: Path) -> tuple[StoreHeader, list[Level]]:
                 raise FileError(f'"{path}" was written by a newer Farfield (version {version} of the store); update Farfield.')
             if version < OLDEST_VERSION:
                 raise FileError(f'"{path}" was written by an older Farfield (version {version} of the store); build the terrain again.')
-            header = _check_header(content if version == VERSION else {"has_normals": False, **content})
+            header = _check_header(content)
             levels = list(_read_levels(reader, header))
-        except (IndexError, KeyError, TypeError, ValueError) as error:
+        except (IndexError, KeyError, TypeError, ValueError, zstandard.ZstdError) as error:
             raise FileError(f'"{path}" is damaged or no structure of a terrain ({error}); build the terrain again.') from error
     return header, levels
 
@@ -189,25 +194,35 @@ def _read_levels(reader: BlockReader, header: StoreHeader) -> Iterator[Level]:
     parents = np.zeros(1, np.int64)  # the root square, whose halves are the patches of level 0
     for level in range(level_count):
         blocks = [reader.read(ARRAYS_PER_LEVEL * level + number, f"level {level}") for number in range(1, ARRAYS_PER_LEVEL + 1)]
-        boxes = np.frombuffer(blocks[4], "<f4").reshape(-1, 6)
-        patches = Level(
-            np.frombuffer(blocks[0], "<u8").astype(np.int64),
-            np.frombuffer(blocks[1], "<f4"),
-            np.frombuffer(blocks[2], "<i4").reshape(-1, 2),
-            np.frombuffer(blocks[3], "<u4").reshape(-1, 3).astype(np.int32),
-            boxes[:, :3],
-            boxes[:, 3:],
+        indices = np.frombuffer(blocks[0], "<u8").astype(np.int64)
+        errors, heights, counts, boxes = (
+            decompress(block, len(indices), columns, dtype)
+            for block, columns, dtype in zip(blocks[1:], COLUMNS[1:], ("<f4", "<i4", "<u4", "<f4"), strict=True)
         )
+        patches = Level(indices, errors[:, 0], heights, counts.astype(np.int32), boxes[:, :3], boxes[:, 3:])
         _check_level(patches, header, parents, level)
         yield patches
         parents = patches.indices
 
 
+def compress(array: np.ndarray) -> bytes:
+    """Return an array (N, C) of numbers of four bytes as a block."""
+    planes = array.T.copy().view(np.uint8).reshape(array.shape[1], -1, array.itemsize).transpose(0, 2, 1)
+    return zstandard.ZstdCompressor(level=COMPRESSION_LEVEL).compress(planes.tobytes())
+
+
+def decompress(block: bytes, count: int, columns: int, dtype: str) -> np.ndarray:
+    """Return the array (count, columns) of a block. Raises ValueError or ZstdError if it has another size, before that is allocated."""
+    size = 4 * count * columns
+    if zstandard.frame_content_size(block) != size:
+        raise ValueError("its arrays have different lengths")
+    planes = np.frombuffer(zstandard.ZstdDecompressor().decompress(block, max_output_size=size), np.uint8)
+    return np.ascontiguousarray(planes.reshape(columns, 4, count).transpose(2, 0, 1)).view(dtype)[..., 0]
+
+
 def _check_level(patches: Level, header: StoreHeader, parents: np.ndarray, level: int) -> None:
     """Check the patches of a level; its parents are the indices (M,) of the next coarser one. Raises ValueError."""
     indices = patches.indices
-    if {len(array) for array in (patches.errors, patches.heights, patches.counts, patches.low)} != {len(indices)}:
-        raise ValueError(f"the arrays of level {level} have different lengths")
     above = indices >> 1
     is_ordered = indices[0] >= 0 and bool((np.diff(indices) > 0).all()) and np.array_equal(above[np.diff(above, prepend=-1) > 0], parents)
     if not is_ordered or (level == 0 and len(indices) != 2):
