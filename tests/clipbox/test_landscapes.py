@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import label
 
 from farfield.addon.core.clipbox.settings import ClipboxSettings
 from farfield.addon.core.clipbox.terrains import landscapes
-from farfield.addon.core.clipbox.terrains.caverns import CARVINGS
+from farfield.addon.core.clipbox.terrains.caverns import CARVINGS, carve
 from farfield.addon.core.clipbox.terrains.generators import build_sampler
 from farfield.addon.core.clipbox.terrains.grids import Grid
 from farfield.addon.core.clipbox.terrains.height_noise import Gullies, Heights, carve_gullies, resolve, simplex_noise, sum_octaves
@@ -111,3 +112,22 @@ def test_caves_arches_and_roots_are_no_heights(name):
     solid = build_sampler(ClipboxSettings(terrain=name)).densities(grid) > 0
     below_rock = np.flip(np.cumsum(np.flip(solid, axis=2), axis=2), axis=2) > 0
     assert (below_rock & ~solid).any(axis=2).mean() > 0.02
+
+
+def test_rock_between_a_cave_and_the_air_is_thicker_than_a_voxel_or_open():
+    depth = np.linspace(-1.0, 20.0, 200).astype(np.float32)  # Into a cliff, behind which there is a cave.
+    for thickness in (0.5, 1.0, 1.5, 4.0, 8.0):
+        solid = carve(depth, np.float32(thickness) - depth, 1.0) > 0
+        assert solid.any() == (thickness > 2.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "x", "y"),
+    [("mesas", -400, 700), ("mesas", 1200, 700), ("arches", 0, -900), ("karst", -800, 100), ("karst", 0, -900), ("alien", 400, -300)],
+)
+def test_nothing_floats_above_the_ground(name, x, y):
+    solid = build_sampler(ClipboxSettings(terrain=name)).densities(Grid((x, y, -80), (80, 80, 250), 1.0)) > 0
+    components, _ = label(solid)
+    outside = np.ones_like(solid)
+    outside[1:-1, 1:-1, 1:-1] = False  # What leaves the window may reach the ground there.
+    assert set(np.unique(components[solid])) <= set(np.unique(components[outside]))

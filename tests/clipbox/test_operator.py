@@ -227,6 +227,7 @@ def test_a_height_map_is_colored_by_its_ground_image(tmp_path):
         "Scree",
         "Grass",
         "Undergrowth",
+        "Dry Grass",
         "Sand",
         "Snow",
     }

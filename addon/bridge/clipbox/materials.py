@@ -18,6 +18,7 @@ WATER_IOR, WAVELENGTH, WAVE_HEIGHT = 1.333, 9.0, 1.2  # Lengths relative to the 
 CALM_DISTANCE, ROUGH_DISTANCE, CALM_ROUGHNESS, MAX_ROUGHNESS = 120.0, 8000.0, 0.02, 0.22
 MEADOW, DRY_GRASS, SCRUB = (0.085, 0.11, 0.032, 1.0), (0.2, 0.16, 0.075, 1.0), (0.1, 0.1, 0.045, 1.0)
 RED_ROCK, PALE_ROCK, DESERT_SAND = (0.3, 0.135, 0.07, 1.0), (0.46, 0.27, 0.16, 1.0), (0.5, 0.34, 0.19, 1.0)
+ALL = 1e6  # Scene units: a height that no ground reaches.
 DEFAULTS_BY_TERRAIN = {  # Other values than DEFAULTS.
     "forest": {  # Steep ground is foliage.
         "Rock": (0.045, 0.075, 0.018, 1.0), "Strata": (0.045, 0.075, 0.018, 1.0), "Scree": (0.05, 0.07, 0.02, 1.0),
@@ -30,19 +31,20 @@ DEFAULTS_BY_TERRAIN = {  # Other values than DEFAULTS.
     "hills": {"Snow": MEADOW, "Sand": (0.05, 0.07, 0.022, 1.0), "Rock Slope": 0.5},
     "canyon": {
         "Rock": RED_ROCK, "Strata": PALE_ROCK, "Scree": (0.36, 0.19, 0.1, 1.0), "Grass": DRY_GRASS, "Undergrowth": SCRUB,
-        "Snow": DRY_GRASS, "Sand": (0.36, 0.2, 0.11, 1.0),
+        "Dry Grass": (0.3, 0.2, 0.11, 1.0), "Snow": DRY_GRASS, "Sand": (0.36, 0.2, 0.11, 1.0), "Stones": 0.15,
     },
     "mesas": {
         "Rock": RED_ROCK, "Strata": PALE_ROCK, "Scree": (0.36, 0.18, 0.09, 1.0), "Grass": (0.34, 0.2, 0.1, 1.0), "Undergrowth": SCRUB,
-        "Snow": DRY_GRASS, "Sand": (0.42, 0.24, 0.13, 1.0),
+        "Dry Grass": (0.42, 0.23, 0.12, 1.0), "Snow": DRY_GRASS, "Sand": (0.42, 0.24, 0.13, 1.0), "Stones": 0.15,
     },
     "coast": {
         "Rock": (0.15, 0.13, 0.11, 1.0), "Strata": (0.27, 0.23, 0.18, 1.0), "Snow": (0.075, 0.095, 0.028, 1.0),
-        "Sand": (0.5, 0.41, 0.28, 1.0), "Rock Slope": 0.75, "Height Blend": 0.02, "Height Noise": 0.04,
+        "Sand": (0.5, 0.41, 0.28, 1.0), "Ripples": 0.6, "Rock Slope": 0.75, "Height Blend": 0.02, "Height Noise": 0.04,
     },
     "dunes": {
         "Rock": (0.46, 0.3, 0.16, 1.0), "Strata": DESERT_SAND, "Scree": DESERT_SAND, "Grass": DESERT_SAND, "Undergrowth": DESERT_SAND,
-        "Snow": DESERT_SAND, "Sand": DESERT_SAND, "Color Noise": 0.3,
+        "Snow": DESERT_SAND, "Dry Grass": DESERT_SAND, "Sand": DESERT_SAND, "Sand Height": ALL, "Rock Slope": -1.0, "Stones": 0.0,
+        "Ripples": 1.0, "Color Noise": 0.3,
     },
     "karst": {
         "Rock": (0.2, 0.185, 0.16, 1.0), "Strata": (0.34, 0.31, 0.26, 1.0), "Scree": (0.16, 0.15, 0.1, 1.0),
@@ -51,11 +53,13 @@ DEFAULTS_BY_TERRAIN = {  # Other values than DEFAULTS.
     },
     "arches": {
         "Rock": (0.36, 0.13, 0.055, 1.0), "Strata": (0.5, 0.24, 0.12, 1.0), "Scree": (0.4, 0.18, 0.085, 1.0),
-        "Grass": (0.38, 0.2, 0.1, 1.0), "Undergrowth": SCRUB, "Snow": (0.42, 0.18, 0.08, 1.0), "Sand": (0.46, 0.23, 0.115, 1.0),
+        "Grass": (0.38, 0.2, 0.1, 1.0), "Undergrowth": SCRUB, "Dry Grass": (0.46, 0.22, 0.11, 1.0),
+        "Stones": 0.15, "Snow": (0.42, 0.18, 0.08, 1.0), "Sand": (0.46, 0.23, 0.115, 1.0),
     },
     "alien": {
-        "Rock": (0.2, 0.1, 0.17, 1.0), "Strata": (0.38, 0.2, 0.27, 1.0), "Scree": (0.26, 0.16, 0.19, 1.0), "Grass": (0.05, 0.17, 0.16, 1.0),
-        "Undergrowth": (0.24, 0.08, 0.035, 1.0), "Snow": (0.34, 0.27, 0.14, 1.0), "Sand": (0.025, 0.1, 0.12, 1.0), "Rock Slope": 0.6,
+        "Rock": (0.4, 0.17, 0.15, 1.0), "Strata": (0.6, 0.37, 0.28, 1.0), "Scree": (0.42, 0.26, 0.25, 1.0), "Grass": (0.05, 0.2, 0.17, 1.0),
+        "Undergrowth": (0.16, 0.05, 0.15, 1.0), "Dry Grass": (0.3, 0.33, 0.1, 1.0), "Snow": (0.55, 0.45, 0.3, 1.0),
+        "Sand": (0.55, 0.38, 0.36, 1.0), "Rock Slope": 0.6, "Ripples": 0.7,
     },
 }  # fmt: skip
 
@@ -80,11 +84,12 @@ def create_terrain_material(
     voxel_size: float,
     ground_image: GroundImage | None = None,
     terrain: str = "",
+    meter: float = 1.0,
 ) -> bpy.types.Material:
     """Create a material for terrain below `root`, most of which lies between the heights `low` and `high`, scene units above the root.
 
     All colors and numbers are inputs of its node group. voxel_size: of the smallest voxels; shading adds bumps between them. A
-    `ground_image` replaces all ground colors. terrain: its kind.
+    `ground_image` replaces all ground colors. terrain: its kind. meter: the length of a meter in scene units.
 
     Raises:
         FileError: the ground image cannot be read.
@@ -92,8 +97,8 @@ def create_terrain_material(
     size = max(0.5 * (high - low), MIN_SIZE)
     material, builder = create_node_material(name)
     position = builder.node("ShaderNodeTexCoord", {"object": root}).outputs["Object"]
-    values = DEFAULTS_BY_TERRAIN.get(terrain, {}) | {"Size": size, "Bump Size": voxel_size}
-    values |= {"Snow Height": high + SNOW_LINE * size, "Sand Height": low}
+    values = {"Size": size, "Bump Size": voxel_size, "Meter": meter, "Snow Height": high + SNOW_LINE * size, "Sand Height": low}
+    values |= DEFAULTS_BY_TERRAIN.get(terrain, {})
     if ground_image is not None:
         values |= dict.fromkeys(LAYERS, _project_ground_image(builder, position, ground_image))
     normal = builder.node("ShaderNodeNewGeometry").outputs["Normal"]

@@ -74,7 +74,13 @@ class TerrainJob:
             raise GeometryError(f'The terrain "{self.terrain.name}" was removed during the update.')
         self.terrain.store_settings(settings)
         material = self.terrain.material or create_terrain_material(
-            self.terrain.name, self.terrain.root, *height_range(core_result, origin), settings.voxel_size, ground_image, settings.terrain
+            self.terrain.name,
+            self.terrain.root,
+            *height_range(core_result, origin),
+            settings.voxel_size,
+            ground_image,
+            settings.terrain,
+            settings.scale,
         )
         terrain_objects.show_meshes(self.terrain, pending, core_result, material)
         terrain_objects.show_water(self.terrain, settings)

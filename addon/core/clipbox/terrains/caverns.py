@@ -1,5 +1,7 @@
 """Shapes of landscapes that are no heights: halls with columns, holes through fins, and roots. Lengths are meters."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from .grids import Grid, smooth_minimum
@@ -19,9 +21,30 @@ HOLE_MARGIN = 1.0  # Of a fin on both sides of the center of a hole, relative to
 MIN_FIN, MAX_FIN = 0.05, 0.25  # Heights of a fin there, relative to the highest, at which a hole closes, and from which on it is in full.
 CLOSED = 9.0  # The distance along a fin, relative to half the width of a hole, where there is none.
 HOLE_WIDTHS, HOLE_HEIGHTS = (11.0, 24.0), (16.0, 36.0)  # Half of them, from the smallest to the largest.
-ROOT_WAVELENGTHS, ROOT_RADIUS = (260.0, 230.0), 17.0
-ROOT_STEEPNESS = 92.0  # Meters from a root's axis per unit of its noise.
-EDGE = 3.0  # Rounds off edges.
+ROOT_CHANGE, MIN_LINE = 0.4, 3.0  # Of the radius of a root; the least gradient of the noise whose lines roots follow, per wavelength.
+EDGE, MIN_THICKNESS = 3.0, 1.8  # Rounds off edges; the thickness of walls, voxels.
+
+
+@dataclass(frozen=True)
+class Roots:
+    """Roots of one size, meters.
+
+    Attributes:
+        radius: mean.
+        distance: wavelength of the noise whose lines they follow.
+        level: mean height.
+        rise: how far they rise and sink.
+        arch: length of an arch.
+    """
+
+    radius: float
+    distance: float
+    level: float
+    rise: float
+    arch: float
+
+
+ROOTS = Roots(13.0, 700.0, 12.0, 75.0, 330.0), Roots(5.5, 330.0, 4.0, 34.0, 130.0)
 
 
 def carve_halls(grid: Grid, density: np.ndarray, shape: Shape) -> np.ndarray:
@@ -45,8 +68,15 @@ def carve_halls(grid: Grid, density: np.ndarray, shape: Shape) -> np.ndarray:
         across = 1.0 / np.sqrt(1.0 + room.steepness**2)
         walls = ((np.abs(z - height - center.height[:, :, None]) - half[:, :, None]) * across[:, :, None]).astype(np.float32)
         walls += fbm(part, WALL_WAVELENGTH, 3, seed, squash=1.5) * np.float32(WALL_ROUGHNESS)
-        density[:, :, layers] = smooth_minimum(density[:, :, layers], walls, np.float32(EDGE))
+        density[:, :, layers] = carve(density[:, :, layers], walls, spacing)
     return density
+
+
+def carve(density: np.ndarray, walls: np.ndarray, voxel_size: float) -> np.ndarray:
+    """Return densities without what lies in front of `walls` (X, Y, Z), distances into the rock. Rock that is too thin for voxels, with
+    air on its other side, is opened: it would have holes as large as voxels."""
+    thickness = density + walls - np.float32(MIN_THICKNESS * voxel_size)
+    return np.minimum(smooth_minimum(density, walls, np.float32(EDGE)), thickness)
 
 
 def carve_holes(grid: Grid, density: np.ndarray, shape: Shape) -> np.ndarray:
@@ -74,21 +104,33 @@ def carve_holes(grid: Grid, density: np.ndarray, shape: Shape) -> np.ndarray:
     walls = ((np.sqrt(along[:, :, None] ** 2 + up**2) - 1.0) * np.minimum(width, height)[:, :, None]).astype(np.float32)
     walls += fbm(part, WALL_WAVELENGTH, 3, shape.seed + CAVES, squash=1.5) * np.float32(0.7 * WALL_ROUGHNESS)
     floor = (plain[:, :, None] - z).astype(np.float32)  # Holes end at the plain.
-    density[:, :, layers] = smooth_minimum(density[:, :, layers], np.maximum(walls, floor), np.float32(EDGE))
+    density[:, :, layers] = carve(density[:, :, layers], np.maximum(walls, floor), grid.voxel_size)
     return density
 
 
 def add_roots(grid: Grid, density: np.ndarray, shape: Shape) -> np.ndarray:
-    """Add roots that wind through the ground and the air."""
-    if grid.voxel_size > ROOT_RADIUS:  # They cannot be resolved.
-        return density
-    first = fbm(grid, ROOT_WAVELENGTHS[0], 2, shape.seed + CAVES, gain=0.3)
-    second = fbm(grid, ROOT_WAVELENGTHS[1], 2, shape.seed + CAVES + 20, gain=0.3, squash=0.8)
-    distance = np.hypot(first, second)
-    _, _, z = grid.coordinates()
-    radius = ROOT_RADIUS * np.clip(1.2 - np.abs(z - 20.0) / 150.0, -1.0, 1.0)  # No root is far above the ground.
-    roots = radius.astype(np.float32) - distance * np.float32(ROOT_STEEPNESS)
-    return -smooth_minimum(-density, -roots, np.float32(2.0 * EDGE))
+    """Add roots that wind through the ground and the air. Each follows a line in the plane, up and down, so that none ends in the air."""
+    for number, roots in enumerate(ROOTS):
+        reach = roots.rise + 2.0 * roots.radius
+        layers, part = _layers_between(grid, roots.level - reach, roots.level + reach)
+        shown = resolve(6.0 * roots.radius, grid.voxel_size)
+        if part is None or shown == 0.0:
+            continue
+        x, y, z = part.coordinates()
+        x, y = np.broadcast_arrays(x[:, :, 0], y[:, :, 0])
+        spacing, seed = grid.voxel_size, shape.seed + CAVES + 20 * number
+        lines = sum_octaves(x, y, spacing, roots.distance, 3, seed, 0.35)
+        steepness = np.maximum(lines.steepness, np.float32(MIN_LINE / roots.distance))
+        height = sum_octaves(x, y, spacing, roots.arch, 2, seed + 8, 0.3)
+        width = sum_octaves(x, y, spacing, 1.7 * roots.arch, 1, seed + 16).height
+        radius = np.float32(roots.radius * shown) * (1.0 + np.float32(ROOT_CHANGE) * width)
+        up = (z - np.float32(roots.level) - np.float32(roots.rise) * height.height[:, :, None]) / np.sqrt(
+            1.0 + (np.float32(roots.rise) * height.steepness[:, :, None]) ** 2
+        )
+        distance = np.hypot((lines.height / steepness)[:, :, None], up)
+        solid = (radius[:, :, None] - distance).astype(np.float32)
+        density[:, :, layers] = -smooth_minimum(-density[:, :, layers], -solid, np.float32(0.6 * roots.radius))
+    return density
 
 
 def _layers_between(grid: Grid, low: float, high: float) -> tuple[slice, Grid | None]:

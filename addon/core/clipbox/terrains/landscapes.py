@@ -19,11 +19,13 @@ MORE, WARPS, GULLIES, BUMPS, LEDGES = 20, 40, 60, 80, 100  # Added to the seed, 
 ROCK_STEEPNESS, ROCK_BLEND = 0.75, 0.5  # The length of the gradient from which on ground is rock, and how much steeper all of it is.
 LEVEL_AT_0 = "coast", "karst", "arches", "alien"  # Whose sea or plain is at a height of 0.
 LEDGE_WAVELENGTH, LEDGE_OCTAVES, LEDGE_DEPTH = 18.0, 4, 3.6  # On rock.
+OVERHANG = 0.4  # How far ledges stand out, relative to how far they go back: more floats above the ground.
 MAX_STEEPNESS = 5.0  # The length of the gradient from which on ledges become less deep, since they would float above the ground.
 BUMP_WAVELENGTH, BUMP_OCTAVES, BUMP_HEIGHT = 24.0, 5, 0.6  # Everywhere.
 DUNES = (240.0, 17.0), (75.0, 2.6)  # Wavelengths and heights of large and small ones.
 DUNE_WARP = 2.4  # Of their crests, in radians of their waves.
 FIN_DISTANCE, FIN_HEIGHT, PLAIN_HEIGHT, FIN_WARP = 62.0, 62.0, 9.0, 2.6  # Lengths, and radians of waves across fins.
+SPIRE_HEIGHT, SPIRE_SHARPNESS = 1.1, 3.9  # Of the noise at 0, and per unit of noise.
 DUNE_SKEW = 0.75  # From symmetric waves, 0, to vertical slip faces, 1.
 
 Noise = Callable[[np.ndarray, np.ndarray], Heights]
@@ -157,8 +159,11 @@ def find_plain(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> He
 def alien(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
     """Return plains with domes and spires."""
     ground = warp(lambda x, y: sum_octaves(x, y, spacing, 900.0, 4, shape.seed, 0.42), x, y, spacing, 500.0, 60.0, shape.seed + WARPS)
-    spires = sum_octaves(x, y, spacing, 210.0, 2, shape.seed + MORE, 0.35)
-    ground = ground.scale(32.0).add(rise(spires, 0.66, 0.09), 105.0)
+    spires = sum_octaves(x, y, spacing, 260.0, 2, shape.seed + MORE, 0.3)
+    regions = rise(sum_octaves(x, y, spacing, 1_100.0, 2, shape.seed + MORE + 4, 0.4), 0.1, 0.2)  # Where there are spires.
+    peaks = np.exp(np.float32(SPIRE_SHARPNESS) * spires.height)
+    spires = spires.map(peaks, np.float32(SPIRE_SHARPNESS) * peaks).multiply(regions)
+    ground = ground.scale(26.0).add(spires, SPIRE_HEIGHT)
     ground = ground.scale(shape.ruggedness)
     return carve_gullies(ground, x, y, spacing, Gullies(130.0, 5, 0.1 * shape.erosion, 0.8, 0.35), shape.seed + GULLIES)
 
@@ -237,6 +242,7 @@ def build_landscape(source: ClipboxSettings, carve: Carving | None) -> DensityFu
         if rock.any():
             ledges = fbm(grid, LEDGE_WAVELENGTH, LEDGE_OCTAVES, shape.seed + LEDGES, squash=1.5)
             rock *= np.minimum(np.float32(LEDGE_DEPTH), np.float32(LEDGE_DEPTH * MAX_STEEPNESS) / np.maximum(steepness, np.float32(1.0)))
+            ledges *= np.where(ledges > 0.0, np.float32(OVERHANG), np.float32(1.0))
             density += ledges * rock[:, :, None]
         if carve is not None:
             density = carve(grid, density, shape)
