@@ -80,7 +80,8 @@ def test_a_blend_can_contain_regular_meshes_instead(folder):
     run("--convert-to-mesh", "--per-box", "--collider-fraction", "20%", "--at", "10,0,20", "--out", folder / "meshes.blend")
     bpy.ops.wm.open_mainfile(filepath=str(folder / "meshes.blend"))
     assert not terrain_objects.SceneTerrain.in_scene(bpy.context.scene)
-    parts = {item.name: len(item.data.polygons) for item in bpy.data.collections["Terrain Mesh"].objects}
+    collections = (bpy.data.collections[name] for name in ("Terrain Mesh", "Terrain Mesh Collider"))
+    parts = {item.name: len(item.data.polygons) for collection in collections for item in collection.objects}
     assert set(parts) == {"Box 1", "Box 2", "Box 3", "Collider"}
     total = sum(count for name, count in parts.items() if name != "Collider")
     assert 0.1 < parts["Collider"] / total < 0.3
