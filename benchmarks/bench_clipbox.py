@@ -123,8 +123,8 @@ def step(given: Namespace) -> dict[str, Any]:
 
 
 def lag(given: Namespace) -> dict[str, Any]:
-    """Measure how far the terrain is behind a viewer of constant speed, and the fraction of time in which the viewer is outside the innermost
-    box that is shown, with and without leaving out boxes."""
+    """Measure how far the terrain is behind a viewer of constant speed, and the fraction of time in which the viewer is outside the
+    innermost box that is shown, with and without leaving out boxes."""
     figures = {}
     settings = ClipboxSettings(terrain=given.terrain)
     for speed in SPEEDS:
