@@ -1,9 +1,9 @@
 """Performance of terrain in nested boxes: `python3 benchmarks/bench_clipbox.py [flags]`.
 
 Prints JSON. Parts (`--only`): `memory` (of a separate process), `build` (first builds, shown in Blender), `step` (the innermost box moves
-by one voxel; the longest tick of the main thread), `flight` (reused voxels), `extraction` (a surface compared with marching cubes of
-scikit-image on the same volume, alternating), `spheres` (50,000 of them, and the cost of distant ones), `cracks` (after random moves,
-surfaces are closed and equal builds from scratch), `borders` (walls where boxes meet).
+by one voxel; the longest tick of the main thread), `lag` (behind a fast viewer), `flight` (reused voxels), `extraction` (a surface
+compared with marching cubes of scikit-image on the same volume, alternating), `spheres` (50,000 of them, and the cost of distant ones),
+`cracks` (after random moves, surfaces are closed and equal builds from scratch), `borders` (walls where boxes meet).
 """
 
 import json
@@ -12,8 +12,10 @@ import sys
 import time
 from argparse import Namespace
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
@@ -26,6 +28,7 @@ import benchmark_cli
 import bpy
 import numpy as np
 
+from farfield.addon.bridge.clipbox.objects import LEFT_OUT_KEY
 from farfield.addon.core.clipbox.blocks import BlockMesh
 from farfield.addon.core.clipbox.clearings import find_clearing
 from farfield.addon.core.clipbox.engine import TerrainEngine, weld
@@ -35,7 +38,7 @@ from farfield.addon.core.clipbox.terrains.generators import build_sampler
 from farfield.addon.core.clipbox.terrains.grids import Grid
 from farfield.addon.core.jobs.progress import run_to_end
 from farfield.addon.operators.clipbox.job import prepare
-from farfield.addon.operators.following import Following
+from farfield.addon.operators.following import Following, ViewerPath
 from farfield.addon.operators.job_run import run_job
 from lib import command_line
 
@@ -45,6 +48,7 @@ from clipbox_borders import count_walls
 from surface_extraction import extract_surface
 
 START = np.array([0.0, 0.0, 40.0])
+SPEEDS, SECONDS_OF_FLIGHT = (10.0, 40.0, 160.0, 640.0), 8.0  # Scene units per second.
 FRAME_SECONDS = 1.0 / 60.0  # between two timer events of a window
 
 
@@ -115,6 +119,37 @@ def step(given: Namespace) -> dict[str, Any]:
             "longest_tick_ms": round(1e3 * following.longest_tick, 1),
             "bounds_ms": [150, 16],
         }
+    return figures
+
+
+def lag(given: Namespace) -> dict[str, Any]:
+    """Measure how far the terrain is behind a viewer of constant speed, and the fraction of time in which the viewer is outside the
+    innermost box that is shown, with and without leaving out boxes."""
+    figures = {}
+    settings = ClipboxSettings(terrain=given.terrain)
+    for speed in SPEEDS:
+        for name, context in (("boxes left out", nullcontext()), ("all boxes", patch.object(ViewerPath, "speed", 0.0))):
+            bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+            job = prepare(settings, START)
+            run_to_end(run_job(job))
+            following, lags, outside = Following(job.terrain), [], []
+            started = time.perf_counter()
+            with context:
+                while (elapsed := time.perf_counter() - started) < SECONDS_OF_FLIGHT:
+                    viewer = START + [elapsed * speed, 0.0, 0.0]
+                    following.tick(viewer)
+                    lags.append(float(np.linalg.norm(viewer - job.terrain.viewer)))
+                    left_out = job.terrain.root.get(LEFT_OUT_KEY, 0)
+                    outside.append(lags[-1] > 0.5 * settings.extent_of(left_out))
+                    time.sleep(max(0.0, FRAME_SECONDS - (time.perf_counter() - started - elapsed)))
+            following.close()
+            late = len(lags) // 2  # The first moves are not typical.
+            figures[f"{speed:g} units per second, {name}"] = {
+                "mean_lag": round(float(np.mean(lags[late:])), 1),
+                "max_lag": round(max(lags[late:]), 1),
+                "outside": round(float(np.mean(outside[late:])), 3),
+                "moves": following.moves,
+            }
     return figures
 
 
@@ -286,7 +321,7 @@ def round_to_milliseconds(seconds: list[float]) -> list[float]:
 
 PARTS = {  # memory first, because a child process inherits the peak memory of its parent
     "memory": memory,
-    "build": build, "step": step, "flight": flight, "extraction": extraction, "spheres": sphere_csg, "cracks": cracks,
+    "build": build, "step": step, "lag": lag, "flight": flight, "extraction": extraction, "spheres": sphere_csg, "cracks": cracks,
     "borders": borders,
 }  # fmt: skip
 

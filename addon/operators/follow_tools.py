@@ -46,8 +46,8 @@ class QuickEngine(Protocol):
     """An engine that leaves out fine detail around a fast viewer. Its viewers are positions (3,)."""
 
     def move_quickly(self, viewer: Any, travel: float) -> Steps[Any]:
-        """Compute the update for a viewer who moves on by the length `travel` until it is shown. If detail is left out, the engine is not
-        settled. Otherwise as `move`."""
+        """Compute the update for a viewer who moves on by the length `travel` until the next update is shown. If detail is left out, the
+        engine is not settled. Otherwise as `move`."""
 
 
 class Change(Protocol):

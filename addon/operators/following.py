@@ -101,7 +101,7 @@ class Following:
     def _advance(self, viewer: Any, started: float, max_seconds: float) -> bool:
         if self._move is None:
             if not self._engine.is_settled_at(viewer):
-                travel = self._path.speed * self._move_seconds
+                travel = self._path.speed * 2.0 * self._move_seconds  # Until the next move after this one is shown.
                 self._move, self._prefetch = _Move(self.terrain, self._engine, viewer, self._prefetch, travel), None
             return False
         is_valid = False
@@ -158,7 +158,7 @@ class _Move:
     def __init__(
         self, terrain: TerrainRoot, engine: Engine, viewer: Any, prefetch: BackgroundThread[None] | None, travel: float = 0.0
     ) -> None:
-        """prefetch: a thread that uses the engine, which is cancelled. travel: how far the viewer goes until the move is shown."""
+        """prefetch: a thread that uses the engine, which is cancelled. travel: how far the viewer goes until the next move is shown."""
         self.started, self.leaves_out_detail = time.perf_counter(), False
         self._engine, self._viewer = engine, viewer
         self._change = follow_tools.tool_of(terrain).start_change(terrain, engine)

@@ -1,7 +1,8 @@
 """Vertices that go over to the surface of the next coarser level before the border of a box, so that nothing changes when it moves on.
 
 Where densities are those of the coarser level, interpolated, the surface still has twice as many vertices, which lie closer to it than the
-flat faces of the coarser level. Each vertex goes to the coarser vertex at its corner, or to the mean of those around it.
+flat faces of the coarser level. Each vertex goes to the plane through the coarser vertex at its corner, or through the mean of those
+around it, along the normal: on a straight line to such a vertex it would turn triangles over.
 """
 
 import numpy as np
@@ -29,7 +30,8 @@ def morph_vertices(
     targets, target_normals, counts = _find_targets(corners[rows], coarser)
     weights = np.where(counts > 0, weights[rows], np.float32(0.0))[:, None]
     offsets, normals = offsets.copy(), normals.copy()
-    offsets[rows] += weights * (targets - offsets[rows])
+    distances = ((targets - offsets[rows]) * target_normals).sum(axis=1, keepdims=True)
+    offsets[rows] += weights * distances * target_normals
     blended = normals[rows] + weights * (target_normals - normals[rows])
     lengths = np.sqrt((blended**2).sum(axis=1, keepdims=True))
     normals[rows] = np.where(lengths > 0.0, blended / np.maximum(lengths, MIN_LENGTH), normals[rows])

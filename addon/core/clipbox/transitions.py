@@ -19,7 +19,8 @@ from .toroidal_grid import ToroidalGrid
 RESOLUTION_PER_WIDTH, MAX_WIDTH = 8, 8  # Voxels along a side of a box per voxel of the transition at its ends, and the most of these.
 NEAR, FAR = np.float32(0.75), np.float32(0.25)  # The weights of the two coarser voxels along an axis whose centers surround a voxel.
 MAX_DETAIL = 2.0  # Voxels by which densities may differ from coarser ones even at the border, where they would change with every move.
-DENSITY_MARGIN, VERTEX_WIDTH = 0.3, 0.6  # Of a transition, where densities have changed at its end, and where vertices change.
+DENSITY_MARGIN = 0.4  # Of a transition at its end, where densities have changed and vertices change.
+MIN_VERTEX_WIDTH = 0.5  # Voxels in which vertices change in small boxes.
 MAX_DENSITY = 4.0  # Voxels to which densities are limited before they are blended. The closer to 0, the more slowly caves close.
 
 
@@ -178,7 +179,7 @@ class ViewerTransition(Transition):
         offsets = np.stack([self._offsets(first, slice(None)), self._offsets(last - 1, slice(None))])
         farthest = np.abs(offsets).max(axis=0)
         nearest = np.where(np.sign(offsets).prod(axis=0) > 0, np.abs(offsets).min(axis=0), 0.0)
-        is_complete = (nearest >= self.end).any(axis=1, keepdims=True)
+        is_complete = (nearest >= self._vertex_range[1] + 0.5).any(axis=1, keepdims=True)
         is_relevant = (farthest > self.end - self.width) & ~is_complete & (first < last).all(axis=1, keepdims=True)
         return np.concatenate([np.where(is_relevant, 2 * self.center + 1, 0), is_complete], axis=1)
 
@@ -196,8 +197,14 @@ class ViewerTransition(Transition):
     def vertex_weights(self, corners: np.ndarray) -> np.ndarray:
         """Return how far the vertices at `corners` (V, 3) have gone to the surface of the coarser level, (V,) float32 from 0 to 1."""
         distances = np.abs(CENTER_STEPS * corners - self.center).max(axis=1).astype(np.float32) * np.float32(1.0 / CENTER_STEPS)
-        start = np.float32(self.end - VERTEX_WIDTH * self.width)
-        return np.clip((distances - start) * np.float32(1.0 / (self.end - start)), np.float32(0.0), np.float32(1.0))
+        start, end = self._vertex_range
+        return np.clip((distances - np.float32(start)) * np.float32(1.0 / (end - start)), np.float32(0.0), np.float32(1.0))
+
+    @property
+    def _vertex_range(self) -> tuple[float, float]:
+        """Distances between which vertices change. All densities around them are coarser ones: others would lead to other targets."""
+        start = self.end - DENSITY_MARGIN * self.width + 1.0
+        return start, max(self.end, start + MIN_VERTEX_WIDTH)
 
     def _blend(self, values: np.ndarray, coarse: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Return blended densities. Where one is solid and the other air, the surface passes when the limited ones balance."""
