@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from bdam_methods import Field, Triangulation, interpolate_vertices, open_field_for_methods
 from bdam_stores import Workplace, build_cut_mesh, build_store
-from bdam_terrains import CELL_SIZE, HEIGHT_STEP, FractalTerrain, read_real
+from bdam_terrains import CELL_SIZE, HEIGHT_STEP, FractalTerrain, create_cliffs, read_real
 from bdam_views import draw_viewer, nearest_visible
 
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
@@ -19,9 +19,10 @@ from farfield.addon.core.bdam.view.extraction import CutSettings, extract_cut, e
 ANCHORS = (8, 32, 128, 512)  # samples per vertex of Farfield's meshes whose errors the others must reach
 FRACTAL_DEGREES = (0.75, 0.85, 0.95)  # roughness of the fractals that judge; the first ones are rougher
 REAL_CELL = 90.0  # meters, of three arc seconds; only scales the gradients for quadrics
+CLIFF_ERRORS = (5.0, 10.0, 20.0, 50.0)  # meters
 UNIFORM_ERRORS = (1.0, 2.0, 4.0, 8.0, 16.0)  # meters
 VIEWS = 5
-BOUNDS = {"alone": 1.15, "uniform_pydelatin": 1.8, "uniform_pymartini": 0.9, "view": 0.5}
+BOUNDS = {"alone": 1.15, "cliffs_pydelatin": 1.8, "cliffs_pymartini": 1.0, "uniform_pydelatin": 1.8, "uniform_pymartini": 0.9, "view": 0.5}
 
 
 def measure_simplifiers(given: Namespace, workplace: Workplace) -> dict[str, Any]:
@@ -120,6 +121,32 @@ def measure_uniform_cut(given: Namespace, workplace: Workplace) -> dict[str, Any
         figures
         | worst(figures, "over_pydelatin", BOUNDS["uniform_pydelatin"])
         | worst(figures, "over_pymartini", BOUNDS["uniform_pymartini"])
+    )
+
+
+def measure_cliffs(given: Namespace, workplace: Workplace) -> dict[str, Any]:
+    """Compare cuts of one error everywhere with pydelatin and pymartini for the same error, on ground with an escarpment and a mesa."""
+    size = min(given.size, 2049)
+    heights = create_cliffs(size, given.seed)
+    with (
+        open_field_for_methods(heights, HEIGHT_STEP, CELL_SIZE, given.peers_python) as field,
+        build_store(workplace, f"cliffs-{size}", heights, CELL_SIZE) as store,
+    ):
+        cache, rows = PatchCache(store), []
+        for error in CLIFF_ERRORS:
+            cut, greedy, right = match_uniform_cut(field, cache, store, error), field.with_pydelatin(error), field.with_pymartini(error)
+            ratios = {
+                "cliffs_pydelatin": round(cut.triangles / greedy.triangles, 2),
+                "cliffs_pymartini": round(cut.triangles / right.triangles, 2),
+            }
+            rows.append(
+                {"tolerance": error, "farfield": cut.to_json(), "pydelatin": greedy.to_json(), "pymartini": right.to_json()} | ratios
+            )
+    figures: dict[str, Any] = {"errors": rows}
+    return (
+        figures
+        | worst(figures, "cliffs_pydelatin", BOUNDS["cliffs_pydelatin"])
+        | worst(figures, "cliffs_pymartini", BOUNDS["cliffs_pymartini"])
     )
 
 

@@ -14,6 +14,7 @@ from farfield.addon.core.bdam.fields.terrain_field import open_field
 CELL_SIZE, HEIGHT_STEP, MAX_HEIGHT = 20.0, 0.1, 4400.0  # meters, as the Puget Sound of the paper
 MEAN_HEIGHT, DEVIATION = 1800.0, 750.0  # meters, before heights are clipped
 LARGEST_FEATURE = 1024  # cells; larger terrains have more mountains, not larger ones
+CLIFF_HEIGHT, GENTLE = 400.0, 0.35  # meters, and the factor of the heights of ground with cliffs
 BAND_ROWS = 128
 BLOCK = 128  # side of a block of random numbers
 
@@ -100,6 +101,17 @@ class FractalTerrain:
         for rows in split_bands(self.size):
             pixels[self.size - rows.stop : self.size - rows.start] = self.read(rows)[::-1]
         pixels.flush()
+
+
+def create_cliffs(size: int, seed: int) -> np.ndarray:
+    """Return heights (size, size) float32 in meters: gentle fractal ground with a winding escarpment and a mesa."""
+    square = slice(0, size)
+    y, x = np.mgrid[square, square].astype(np.float32)
+    winding = Noise(seed + 1, 0.8, 512).read(square, square)
+    is_above = (x + 0.35 * y - 0.6 * size + 60.0 * winding > 0.0).astype(np.int32)
+    is_mesa = np.hypot(x - 0.25 * size, y - 0.6 * size) - 0.12 * size + 25.0 * winding < 0.0
+    heights = GENTLE * FractalTerrain(size, seed).read_all() + CLIFF_HEIGHT * (is_above + is_mesa)
+    return (np.rint(heights / HEIGHT_STEP) * HEIGHT_STEP).astype(np.float32)
 
 
 @dataclass(frozen=True)

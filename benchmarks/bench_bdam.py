@@ -1,7 +1,7 @@
 """Large terrain measured against the bounds of its design: `python3 benchmarks/bench_bdam.py [flags]`.
 
 Prints JSON. Parts (`--only`): `simplifiers` (vertices at equal measured error: quadric collapses, half-edge collapses, greedy insertion
-and right-triangulated meshes), `simplifier_alone` (against pydelatin), `uniform_cut` and `view_cut` (against pydelatin and pymartini),
+and right-triangulated meshes), `simplifier_alone` (against pydelatin), `uniform_cut`, `view_cut` and `cliffs` (against both peers),
 `build` (time, memory and growth), `disk`, `extraction` (200 frames of a fly-over), `cracks`, `screen_error`, `seams` (of textures), `kill`
 (kill -9 and resume), `flip` (flipped bytes are found), `geographic` (vertical distances in the local frame of a grid of degrees),
 `full_grid` (the same terrain as a full grid in Cycles: time, memory and FLIP), `erosion` (time, memory, and measures of eroded and real
@@ -33,7 +33,7 @@ from bdam_erosion import measure_erosion
 from bdam_flips import measure_flips
 from bdam_geographic import measure_geographic
 from bdam_renders import measure_full_grid
-from bdam_simplifiers import measure_simplifier_alone, measure_simplifiers, measure_uniform_cut, measure_view_cut
+from bdam_simplifiers import measure_cliffs, measure_simplifier_alone, measure_simplifiers, measure_uniform_cut, measure_view_cut
 from bdam_stores import Workplace
 from bdam_textures import measure_seams
 
@@ -47,6 +47,7 @@ PARTS = {
     "simplifier_alone": measure_simplifier_alone,
     "uniform_cut": measure_uniform_cut,
     "view_cut": measure_view_cut,
+    "cliffs": measure_cliffs,
     "build": measure_build,
     "disk": measure_disk,
     "extraction": measure_extraction,

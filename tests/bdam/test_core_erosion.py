@@ -178,7 +178,7 @@ def test_ground_without_a_sea_has_none(tmp_path):
     assert erosion.find_sea_level(grid) == -np.inf
 
 
-def test_rivers_fill_the_bottom_of_their_valleys_and_no_slopes():
+def test_rivers_fill_the_bottom_of_their_valleys_only():
     y, x = np.mgrid[0:80, -40:41].astype(np.float32)
     valley = 6.0 * np.abs(x) + 0.2 * y
     areas = np.where(x == 0, 1e5, 1.0)

@@ -14,7 +14,7 @@ from scipy import sparse
 
 from ..arrays import gather
 
-MAX_DEGREE = 28  # vertices with more incident triangles are not removed
+MAX_DEGREE = 20  # vertices with more incident triangles are not removed
 ALIGNMENT = 16  # vertices of a group, so that rows of float32 begin at multiples of 64 bytes
 
 

@@ -17,6 +17,7 @@ from .vertical_errors import Measurement, measure_triangles
 MAX_SAMPLES_PER_TRIANGLE = 6
 CLIFF_RATIO = 2.0  # A sample is at a cliff if it is so many times as far from its neighbors as the error of its diamond.
 NEARBY = 2  # samples around one that tell whether it is at a cliff
+BAND_PARTS = 8  # Bands have so many times fewer samples than others, since these are copied.
 OPPOSITE = [(row, column) for row in range(NEARBY + 1) for column in range(-NEARBY, NEARBY + 1) if (row, column) > (0, 0)]
 MAX_MEASURED_SAMPLES = 1 << 14  # Samples are measured in such chunks, so that they do not decide how much memory workers need.
 # More than half of the vertices stay if the error would grow by more than this factor from one level to the next, as along cliffs. Diamonds
@@ -118,7 +119,7 @@ def measure_second_differences(x: np.ndarray, y: np.ndarray, grid: HeightGrid) -
     if not len(x):
         return differences
     left, right = max(int(x.min()) - NEARBY, 0), min(int(x.max()) + NEARBY + 1, grid.columns)
-    for band in split_rows(int(y.min()), int(y.max()) + 1, right - left):
+    for band in split_rows(int(y.min()), int(y.max()) + 1, BAND_PARTS * (right - left)):
         members = np.flatnonzero((y >= band.start) & (y < band.stop))
         first = max(band.start - NEARBY, 0)
         heights, _ = grid.read(slice(first, min(band.stop + NEARBY, grid.rows)), slice(left, right))

@@ -11,8 +11,8 @@ from ...arrays import gather
 from ...geometry.vertex_rings import VertexRings, to_triangles
 from .collapse_costs import GridPoints
 
-ROW_LENGTH = 32  # columns of the arrays of fans; a fan has fewer than MAX_DEGREE triangles
-SEARCH_STEPS = (16, 8, 4, 2, 1)
+ROW_LENGTH = 24  # columns of the arrays of fans; a fan has fewer than MAX_DEGREE triangles
+SEARCH_STEPS = (8, 8, 4, 2, 1)
 MAX_ENTRIES = 1 << 16  # entries of a (degree, vertices) array
 MAX_SAMPLES = 1 << 13  # samples that are located at once
 
@@ -23,12 +23,12 @@ class CollapsedFans:
 
     Attributes:
         vertices, targets: (N,) intp.
-        corners: (N, 32) intp, corners of the vertices whose triangles become those of the fan.
+        corners: (N, 24) intp, corners of the vertices whose triangles become those of the fan.
         owners: (C,) intp, positions of the vertices of all corners of their stars.
         star: (C,) intp, all corners of the stars.
         is_kept: (C,) bool, whether the triangle of a corner becomes one of the fan; the others vanish.
-        x, y, z: (N, 32), the vectors from the target to the ends of its rays, of which there is one more than triangles.
-        angles: (N, 32), `_pseudo_angles` of the rays from the second to the one before the last, then infinity.
+        x, y, z: (N, 24), the vectors from the target to the ends of its rays, of which there is one more than triangles.
+        angles: (N, 24), `_pseudo_angles` of the rays from the second to the one before the last, then infinity.
     """
 
     vertices: np.ndarray

@@ -196,7 +196,8 @@ def _place_in_front(patch: Patch, counts: np.ndarray, first: np.ndarray, upper: 
     front, places, place = [0], [], 0
     for vertex, count, neighbor, second in zip(range(1, len(x)), counts[1:].tolist(), first[1:].tolist(), seconds, strict=True):
         if count:
-            place = _find_edge(front, neighbor, second, place)
+            if front[place : place + 2] != [neighbor, second]:
+                place = _find_edge(front, neighbor, second, place)
             front[place + 1 : place + count] = (vertex,)
         else:
             place = front.index(neighbor)
