@@ -48,7 +48,7 @@ class Bumps:
 
 DISTANT, DISTANT_FROM = Bumps(110.0, 20.0, 5, 0.8), 1200.0  # Relative to Bump Size. Nearer than the distance, voxels have that shape.
 MEDIUM = Bumps(10.0, 3.0, 4, 0.9)  # Relative to Bump Size.
-FINE, FINE_GAIN = Bumps(0.5, 0.07, 5, 1.4), 0.75  # Relative to Meter, and the height of each octave relative to that of the one before.
+FINE, FINE_GAIN = Bumps(0.5, 0.09, 5, 2.0), 0.75  # Relative to Meter, and the height of each octave relative to that of the one before.
 JOINTS = Bumps(36.0, 7.0, 4, 0.0)  # Relative to Bump Size: ridges of noise.
 STONE_ROUGHNESS = Bumps(0.22, 0.4, 1, 0.0)  # Relative to Meter; its height relative to the distance between stones.
 CRACKS = Bumps(3.4, 0.3, 7, 0.5)  # Relative to Meter: ridges of all sizes.
