@@ -11,7 +11,7 @@ import bpy
 
 from .node_builder import NodeBuilder, SocketOrValue
 
-PIXEL = 0.0011  # Size of the smallest details, relative to their distance: about that of a pixel.
+PIXEL = 0.0016  # Size of the smallest details, relative to their distance: about one and a half pixels at a width of 960.
 DIFFUSE_PIXEL = 0.1  # The same for light that is scattered to other ground, where details do not show and would take time.
 NOISE_RANGE = 0.27  # Makes sums of octaves lie mostly between -0.5 and 0.5.
 SOFT_BUMPS = 0.3  # Height of bumps on soil and snow, relative to those on rock.
