@@ -1,19 +1,21 @@
 """Landscapes compared with real ones: `python3 benchmarks/bench_landscapes.py [flags]`.
 
 Prints JSON. Parts (`--only`): `shape` (spectral slope of heights, distribution of slopes and drainage density of *Alps*, *Hills* and
-*Canyon* against windows of real elevation models of the same size and spacing) and `repetition` (largest peak of the autocorrelation of
-the colors of the ground at 10, 100 and 1000 m, of which 1 is a texture that repeats). Each run draws other seeds and places; --seed
-repeats one.
+*Canyon* against windows of real elevation models of the same size and spacing), `detail` (the finest octave of pictures of the ground
+near the camera against photographs of ground) and `repetition` (largest peak of the autocorrelation of the colors of the ground at 10,
+100 and 1000 m, of which 1 is a texture that repeats). Each run draws other seeds and places; --seed repeats one.
 """
 
 import heapq
 import secrets
 import sys
+import tempfile
 from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "scripts"))
+ROOT = Path(__file__).resolve().parent.parent
+sys.path[:0] = [str(ROOT / "scripts"), str(ROOT / "docs")]
 
 from lib import environment
 
@@ -24,15 +26,19 @@ import benchmark_cli
 import bpy
 import numpy as np
 import tifffile
+from figures import terrain_views
+from PIL import Image
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from farfield.addon.bridge.clipbox.materials import create_terrain_material
 from farfield.addon.bridge.geometry.mesh_arrays import write_triangles
 from farfield.addon.bridge.rendering.render_scene import RenderScene, prepare_cycles, render_scene
-from farfield.addon.core.clipbox.terrains.landscapes import LANDSCAPES, SEEDS, Shape
+from farfield.addon.core.clipbox.settings import ClipboxSettings
+from farfield.addon.core.clipbox.terrains.landscapes import LANDSCAPES, SEEDS, Shape, find_base, read_shape
 from lib import command_line
 
 DATA = environment.ROOT.parent / "shared" / "data" / "dem"
+PHOTOGRAPHS = DATA.parent / "sceaux" / "images"
 VOID, MAX_VOIDS = -1000.0, 0.1  # Heights below it are unknown; which part of a window may be, and is that of the nearest sample then.
 MIN_GRADIENT = 0.06  # Median gradient; less is a plain or the sea.
 WINDOW, SPACING = 200, 75.0  # Samples along a side, and meters between them: those of the elevation models along a parallel.
@@ -41,7 +47,10 @@ CHANNEL_AREA = 0.5e6  # Square meters that drain through a cell of a channel.
 PERCENTILES = (10, 25, 50, 75, 90)
 COMPARED, COUNT = ("alps", "hills", "canyon"), 4
 NEIGHBORS = [(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1) if row or column]
-EXTENTS, PIXELS, VIEWS = (10.0, 100.0, 1000.0), 384, 3  # Meters that are covered by renders of the ground.
+EXTENTS, PIXELS = (10.0, 100.0, 1000.0), 256  # Meters that are covered by renders of the ground.
+REPEATED = "hills", "mesas", "dunes"
+CAMERAS, VIEW_PIXELS, VIEW_SAMPLES, EYE_HEIGHT, AHEAD = 12, 256, 16, 1.7, 6.0  # Cameras near the ground; meters.
+GROUND_OF_PHOTOGRAPHS, GROUND_OF_VIEWS, PART = 0.1, 0.4, 48  # The lowest part of pictures, and sides of the parts of it that count, pixels.
 PEAK_BOUND = 0.15
 
 
@@ -138,17 +147,47 @@ def measure_drainage(heights: np.ndarray, spacing: float) -> float:
     return float(steps[is_channel].sum() * spacing / 1e3 / (heights.size * spacing**2 / 1e6))
 
 
+def measure_detail(given: Namespace) -> dict[str, Any]:
+    """Return the detail of photographs of ground, and of landscapes from random places near the ground, relative to their median."""
+    random = np.random.default_rng(given.seed)
+    if not PHOTOGRAPHS.exists():
+        return {"skipped": f"there is no folder {PHOTOGRAPHS.parent.name} with photographs"}
+    photographs = [describe_detail(path, GROUND_OF_PHOTOGRAPHS) for path in sorted(PHOTOGRAPHS.glob("*.jpg"))]
+    usual, found = float(np.median(photographs)), {}
+    for number in range(CAMERAS):
+        terrain = list(LANDSCAPES)[number % len(LANDSCAPES)]
+        settings = ClipboxSettings(terrain=terrain, seed=int(random.integers(10_000)), resolution=96, voxel_size=0.5)
+        place, angle, shape = random.uniform(-2000.0, 2000.0, 2), random.uniform(0.0, 2.0 * np.pi), read_shape(settings)
+        ends = np.array([place, place + AHEAD * np.array([np.cos(angle), np.sin(angle)])])
+        heights = LANDSCAPES[terrain](ends[:, :1], ends[:, 1:], 0.5, shape).height[:, 0] - find_base(terrain, shape)
+        points = np.column_stack([ends, heights + [EYE_HEIGHT, 0.0]])
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "view.png"
+            terrain_views.square_view(path, VIEW_PIXELS, VIEW_SAMPLES, settings, points[0], points[1])
+            found[f"{terrain} {number}"] = round(describe_detail(path, GROUND_OF_VIEWS) / usual, 2)
+    return {"photographs": [round(value, 4) for value in photographs], "relative_to_their_median": found}
+
+
+def describe_detail(path: Path, ground: float) -> float:
+    """Return the RMS of the finest octave of a picture's luminance relative to its mean, median of the parts of its lowest fraction."""
+    values = np.asarray(Image.open(path).convert("L"), np.float64)
+    values = values[int((1.0 - ground) * len(values)) :]
+    means = 0.25 * (values[:-1, :-1] + values[1:, :-1] + values[:-1, 1:] + values[1:, 1:])
+    corners = [(row, column) for row in range(0, len(means) - PART + 1, PART) for column in range(0, means.shape[1] - PART + 1, PART)]
+    parts = [(slice(row, row + PART), slice(column, column + PART)) for row, column in corners]
+    return float(np.median([np.sqrt(((values[:-1, :-1] - means)[part] ** 2).mean()) / means[part].mean() for part in parts]))
+
+
 def measure_repetition(given: Namespace) -> dict[str, Any]:
-    """Return the largest peaks of the autocorrelation of the ground of landscapes, of several places."""
+    """Return the largest peaks of the autocorrelation of the ground of landscapes, each at another place."""
     random = np.random.default_rng(given.seed)
     figures: dict[str, Any] = {"bound": PEAK_BOUND}
-    for terrain in LANDSCAPES:
-        figures[terrain] = {f"{extent:g}": [] for extent in EXTENTS}
+    for terrain in REPEATED:
+        figures[terrain] = {}
         for extent in EXTENTS:
-            for _ in range(VIEWS):
-                with render_scene("Ground") as work:
-                    colors = render_ground(work, terrain, extent, random.uniform(-5000.0, 5000.0, 2))
-                figures[terrain][f"{extent:g}"].append(round(find_peak(colors), 3))
+            with render_scene("Ground") as work:
+                colors = render_ground(work, terrain, extent, random.uniform(-5000.0, 5000.0, 2))
+            figures[terrain][f"{extent:g}"] = round(find_peak(colors), 3)
     return figures
 
 
@@ -195,7 +234,7 @@ def find_peak(values: np.ndarray) -> float:
     return float(correlation[(distance > first) & (distance < 0.75 * size)].max())
 
 
-PARTS = {"shape": measure_shape, "repetition": measure_repetition}
+PARTS = {"shape": measure_shape, "detail": measure_detail, "repetition": measure_repetition}
 
 
 def main(arguments: list[str], _line: command_line.ProgressLine) -> str:

@@ -24,10 +24,10 @@ from farfield.addon.core.clipbox.settings import ClipboxSettings
 from farfield.addon.core.presets import list_presets, read_preset
 
 PRESETS = FOLDER.parent / "addon" / "presets" / "clipbox"
-PIXELS, SAMPLES, QUALITY = 192, 48, 82
+PIXELS, SAMPLES, QUALITY = 192, 24, 82
 # Where the camera stands, and the point that it looks at, scene units.
 VIEWS = {
-    "Alien": ((440.0, -323.0, 152.0), (514.0, -399.0, 117.0)),
+    "Alien": ((1015.0, -712.0, 40.0), (935.0, -772.0, 42.0)),
     "Alpine Range": ((300.0, -400.0, 172.0), (-160.0, -381.0, 160.0)),
     "Arches": ((-240.0, -564.0, 9.0), (-302.0, -530.0, 20.0)),
     "Asteroids": ((0.0, -260.0, 60.0), (40.0, 60.0, 0.0)),

@@ -18,11 +18,12 @@ NO_WATER = -1e6  # scene units
 
 BREAKUP = 0.35  # How much bumps move the borders between layers, relative to the variation by noise.
 WET_COLOR, WET_ROUGHNESS = 0.45, 0.35  # Of wet ground, relative to dry ground.
-SMOOTH_CONTRAST = 0.3  # Of bumps on sand and snow, relative to that on other ground.
+SMOOTH_CONTRAST = 0.35  # Of bumps on sand and snow, relative to that on other ground.
+ROCK_EVENNESS = 0.7  # How far rock is from the contrast of other ground to that of sand, since it has cracks.
 PATCH_WAVELENGTH, PATCH_OCTAVES = 38.0, 3  # Of dry grass, meters.
 STREAK_WAVELENGTH, STREAK_ASPECT, STREAK_COLOR = 5.0, 0.07, 1.1  # Of stains that run down rock: meters, width by height, contrast.
 STONE_RISE = 0.1  # By how much z of the normal stones reach beyond the border of rock debris.
-STONE_SHADES, STONE_SHADE = (0.45, 1.0), 0.5  # Brightness of stones, and the factor of it between them.
+STONE_SHADES, STONE_SHADE = (0.35, 0.85), 0.55  # Brightness of stones, and the factor of it between them.
 RIPPLE_STEEPNESS = 0.8  # z of the normal below which the wind makes no ripples.
 LEE_RIPPLES = 0.3  # Strength of ripples behind the crests of dunes, relative to that on the side of the wind, which blows along x.
 CALM_RIPPLES = 0.35  # Strength of ripples in some patches, relative to that in others.
@@ -171,7 +172,8 @@ def _mix_layers(builder: NodeBuilder, inputs: bpy.types.bpy_prop_collection, det
     color = builder.mix(is_rock, ground, rock)
 
     is_smooth = builder.math("MULTIPLY", builder.math("MAXIMUM", is_sand, is_snow), builder.math("SUBTRACT", 1.0, is_rock))
-    contrast = builder.math("SUBTRACT", 1.0, builder.math("MULTIPLY", is_smooth, 1.0 - SMOOTH_CONTRAST))
+    is_even = builder.math("ADD", is_smooth, builder.math("MULTIPLY", is_rock, ROCK_EVENNESS))
+    contrast = between(builder, is_even, 1.0, SMOOTH_CONTRAST)
     noise_factor = builder.math("ADD", builder.math("MULTIPLY", noise, inputs["Color Noise"]), 1.0)
     lee = builder.math("MULTIPLY", ramp(builder, normal_x, 0.1, 0.25), 1.0 - LEE_RIPPLES)
     has_ripples = builder.math("MULTIPLY", builder.math("SUBTRACT", 1.0, lee), ramp(builder, plain_z, RIPPLE_STEEPNESS + 0.05, 0.05))

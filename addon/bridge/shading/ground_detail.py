@@ -11,7 +11,7 @@ import bpy
 
 from .node_builder import NodeBuilder, SocketOrValue
 
-PIXEL = 0.0011  # Size of the smallest details, relative to their distance: about that of a pixel.
+PIXEL = 0.0016  # Size of the smallest details, relative to their distance: about one and a half pixels at a width of 960.
 DIFFUSE_PIXEL = 0.1  # The same for light that is scattered to other ground, where details do not show and would take time.
 NOISE_RANGE = 0.27  # Makes sums of octaves lie mostly between -0.5 and 0.5.
 SOFT_BUMPS = 0.3  # Height of bumps on soil and snow, relative to those on rock.
@@ -48,10 +48,10 @@ class Bumps:
 
 DISTANT, DISTANT_FROM = Bumps(110.0, 20.0, 5, 0.8), 1200.0  # Relative to Bump Size. Nearer than the distance, voxels have that shape.
 MEDIUM = Bumps(10.0, 3.0, 4, 0.9)  # Relative to Bump Size.
-FINE, FINE_GAIN = Bumps(0.5, 0.07, 5, 1.4), 0.75  # Relative to Meter, and the height of each octave relative to that of the one before.
+FINE, FINE_GAIN = Bumps(0.5, 0.09, 5, 2.0), 0.75  # Relative to Meter, and the height of each octave relative to that of the one before.
 JOINTS = Bumps(36.0, 7.0, 4, 0.0)  # Relative to Bump Size: ridges of noise.
 STONE_ROUGHNESS = Bumps(0.22, 0.4, 1, 0.0)  # Relative to Meter; its height relative to the distance between stones.
-CRACKS = Bumps(3.4, 0.3, 7, 0.35)  # Relative to Meter: ridges of all sizes.
+CRACKS = Bumps(3.4, 0.3, 7, 0.5)  # Relative to Meter: ridges of all sizes.
 
 
 class GroundDetail:

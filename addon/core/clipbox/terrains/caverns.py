@@ -21,7 +21,9 @@ HOLE_MARGIN = 1.0  # Of a fin on both sides of the center of a hole, relative to
 MIN_FIN, MAX_FIN = 0.05, 0.25  # Heights of a fin there, relative to the highest, at which a hole closes, and from which on it is in full.
 CLOSED = 9.0  # The distance along a fin, relative to half the width of a hole, where there is none.
 HOLE_WIDTHS, HOLE_HEIGHTS = (11.0, 24.0), (16.0, 36.0)  # Half of them, from the smallest to the largest.
-ROOT_CHANGE, MIN_LINE = 0.4, 3.0  # Of the radius of a root; the least gradient of the noise whose lines roots follow, per wavelength.
+COARSEST = 3.0  # Voxels that show roots, relative to their radius. Roots are as thick as a voxel at least, so that they do not break.
+HIGHEST = 1.4  # Bound of the noise by which roots rise and sink.
+ROOT_CHANGE, ROOT_WARP = 0.4, 0.85  # Of the radius of a root; of the line that it follows, radians.
 EDGE, MIN_THICKNESS = 3.0, 1.8  # Rounds off edges; the thickness of walls, voxels.
 
 
@@ -31,7 +33,8 @@ class Roots:
 
     Attributes:
         radius: mean.
-        distance: wavelength of the noise whose lines they follow.
+        distance: between the lines that they follow.
+        direction: across these lines, radians.
         level: mean height.
         rise: how far they rise and sink.
         arch: length of an arch.
@@ -39,12 +42,13 @@ class Roots:
 
     radius: float
     distance: float
+    direction: float
     level: float
     rise: float
     arch: float
 
 
-ROOTS = Roots(13.0, 700.0, 12.0, 75.0, 330.0), Roots(5.5, 330.0, 4.0, 34.0, 130.0)
+ROOTS = Roots(13.0, 340.0, 0.4, 12.0, 75.0, 330.0), Roots(5.5, 200.0, 1.7, 4.0, 34.0, 130.0)
 
 
 def carve_halls(grid: Grid, density: np.ndarray, shape: Shape) -> np.ndarray:
@@ -111,23 +115,26 @@ def carve_holes(grid: Grid, density: np.ndarray, shape: Shape) -> np.ndarray:
 def add_roots(grid: Grid, density: np.ndarray, shape: Shape) -> np.ndarray:
     """Add roots that wind through the ground and the air. Each follows a line in the plane, up and down, so that none ends in the air."""
     for number, roots in enumerate(ROOTS):
-        reach = roots.rise + 2.0 * roots.radius
+        reach = HIGHEST * roots.rise + 2.0 * max(roots.radius, grid.voxel_size)
         layers, part = _layers_between(grid, roots.level - reach, roots.level + reach)
-        shown = resolve(6.0 * roots.radius, grid.voxel_size)
-        if part is None or shown == 0.0:
+        if part is None or grid.voxel_size > COARSEST * roots.radius:
             continue
         x, y, z = part.coordinates()
         x, y = np.broadcast_arrays(x[:, :, 0], y[:, :, 0])
         spacing, seed = grid.voxel_size, shape.seed + CAVES + 20 * number
-        lines = sum_octaves(x, y, spacing, roots.distance, 3, seed, 0.35)
-        steepness = np.maximum(lines.steepness, np.float32(MIN_LINE / roots.distance))
+        # Waves whose gradient is nowhere 0, so that their crests are lines without an end.
+        rate, warps = 2.0 * np.pi / roots.distance, sum_octaves(x, y, spacing, 1.6 * roots.distance, 2, seed, 0.3).scale(ROOT_WARP)
+        along_x, along_y = rate * np.cos(roots.direction), rate * np.sin(roots.direction)
+        phase = along_x * x + along_y * y + warps.height
+        steepness = np.hypot(warps.gradient_x + along_x, warps.gradient_y + along_y)
+        across = (phase - 2.0 * np.pi * np.round(phase / (2.0 * np.pi))) / steepness
         height = sum_octaves(x, y, spacing, roots.arch, 2, seed + 8, 0.3)
         width = sum_octaves(x, y, spacing, 1.7 * roots.arch, 1, seed + 16).height
-        radius = np.float32(roots.radius * shown) * (1.0 + np.float32(ROOT_CHANGE) * width)
+        radius = np.maximum(np.float32(roots.radius) * (1.0 + np.float32(ROOT_CHANGE) * width), np.float32(spacing))
         up = (z - np.float32(roots.level) - np.float32(roots.rise) * height.height[:, :, None]) / np.sqrt(
             1.0 + (np.float32(roots.rise) * height.steepness[:, :, None]) ** 2
         )
-        distance = np.hypot((lines.height / steepness)[:, :, None], up)
+        distance = np.hypot(across[:, :, None], up)
         solid = (radius[:, :, None] - distance).astype(np.float32)
         density[:, :, layers] = -smooth_minimum(-density[:, :, layers], -solid, np.float32(0.6 * roots.radius))
     return density
