@@ -96,9 +96,9 @@ class ClipboxSettings(Settings):
         maximum=8,
     )
     smooth_moves: bool = in_boxes(
-        True,
-        "Blend each box into the next coarser one by the distance from the viewer, so that nothing changes at once when boxes move. "
-        "Updates are more frequent",
+        False,
+        "Blend each box into the next coarser one by the distance from the viewer, so that nothing changes at once when boxes move. For "
+        "animations; updates take longer, and detail ends closer to the viewer",
         used_if={"surface": ("smooth",)},
     )
     subdivided_boxes: int = in_detail(
