@@ -115,7 +115,7 @@ def test_ground_changes_little_by_little_while_the_viewer_comes_nearer(threshold
 
 @pytest.mark.parametrize(("resolution", "threshold"), [(32, 4), (33, 1), (64, 1), (64, 8)])
 def test_a_transition_ends_before_the_border_wherever_the_viewer_is(resolution, threshold):
-    source = settings(boxes=2, resolution=resolution, threshold=threshold)
+    source = settings(boxes=2, resolution=resolution, threshold=threshold, smooth_moves=True)
     boxes = NestedBoxes(Sampler("plain", plain_with_detail), source)
     for viewer in np.random.default_rng(1).uniform(-20.0, 20.0, (10, 3)) * [1.0, 1.0, 0.1]:
         run_to_end(boxes.move(viewer))
