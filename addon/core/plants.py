@@ -78,7 +78,7 @@ def conifer(seed: int, detail: float) -> Model:
     trunk = _tubes(trunk_points, TRUNK_RADIUS, TRUNK_SIDES, 0.04)
     whorls, per_whorl = round(34 * max(detail, 0.35) ** 0.5), 7
     heights = np.repeat(np.linspace(0.06, 0.985, whorls) ** 1.1, per_whorl) * CONIFER_HEIGHT
-    heights = np.minimum(heights + random.normal(0.0, 0.12, len(heights)), CONIFER_HEIGHT)
+    heights = np.clip(heights + random.normal(0.0, 0.26, len(heights)) * (1.0 - heights / CONIFER_HEIGHT) ** 0.4, 0.4, CONIFER_HEIGHT)
     reach = 0.23 * (CONIFER_HEIGHT - heights) * random.uniform(0.7, 1.12, len(heights)) + np.clip(
         0.09 * (CONIFER_HEIGHT - heights), 0.03, 0.18
     )
@@ -99,7 +99,8 @@ def conifer(seed: int, detail: float) -> Model:
     bases = at(fractions)
     sides = np.cross([0.0, 0.0, 1.0], outward)
     sign = np.where(np.arange(twigs) % 2, 1.0, -1.0)[:, None]
-    direction = 0.55 * outward[:, None] + 0.85 * sign * sides[:, None] + random.normal(0.0, 0.16, bases.shape) - [0.0, 0.0, 0.16]
+    direction = 0.55 * outward[:, None] + 0.85 * sign * sides[:, None] + random.normal(0.0, 0.16, bases.shape)
+    direction[..., 2] -= random.uniform(0.0, 0.9, bases.shape[:2])
     direction /= np.linalg.norm(direction, axis=2, keepdims=True)
     lengths = (0.42 * reach[:, None] * (1.08 - fractions) + np.minimum(0.16, 0.5 * reach[:, None])) * random.uniform(
         0.8, 1.2, bases.shape[:2]
@@ -115,7 +116,7 @@ def conifer(seed: int, detail: float) -> Model:
     length = 0.16 * (16.0 / per_twig) ** 0.5 * slender * random.uniform(0.7, 1.2, count)
     from_trunk = np.hypot(roots[:, 0], roots[:, 1]) / (0.23 * CONIFER_HEIGHT + 0.3)
     shades = (0.4 + 0.75 * np.sqrt(np.clip(from_trunk, 0.0, 1.0))) * random.uniform(0.8, 1.2, count)
-    width = 0.34 * (16.0 / per_twig) ** 0.3
+    width = 0.34 * (16.0 / per_twig) ** 0.1
     return join([trunk, branches, _leaves(roots, random.normal(size=(count, 3)), length, shades, random, ahead, width)])
 
 
