@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from farfield.addon.core.errors import SettingsError
@@ -22,6 +22,7 @@ def test_text_that_is_no_json_or_too_deep_is_a_value_error(content):
 
 
 @given(JUNK)
+@example([["long text" * 20] * 6] * 6)
 def test_values_are_of_the_type_and_within_the_range(value):
     checks = {
         "integer": (lambda: integer(value, "x", -5, 5), lambda found: type(found) is int and -5 <= found <= 5),

@@ -6,7 +6,7 @@ from typing import Any
 
 from .files.file_access import is_unicode
 
-MAX_TEXT = 1000  # characters
+MAX_TEXT, MAX_SHOWN = 1000, 200  # characters of a value, and of one in a message
 
 
 def parse_json(content: str | bytes) -> Any:
@@ -57,4 +57,5 @@ def text(value: object, name: str) -> str:
 
 
 def _refusal(value: object, name: str) -> ValueError:
-    return ValueError(f"{name} is {ascii(reprlib.repr(value)) if isinstance(value, str) else reprlib.repr(value)}")
+    shown = ascii(reprlib.repr(value)) if isinstance(value, str) else reprlib.repr(value)
+    return ValueError(f"{name} is {shown if len(shown) <= MAX_SHOWN else shown[:MAX_SHOWN] + '...'}")
