@@ -45,7 +45,7 @@ def decode_integers(content: bytes, start: int, counts: Sequence[int]) -> tuple[
     """
     _, chunks = _split(counts)
     bits = np.unpackbits(np.frombuffer(content, np.uint8, offset=start), bitorder="little")
-    keys = _take(bits, 0, KEY_BITS * len(chunks)).reshape(-1, KEY_BITS) @ (1 << np.arange(KEY_BITS))
+    keys = _read_bits(bits, 0, KEY_BITS * len(chunks)).reshape(-1, KEY_BITS) @ (1 << np.arange(KEY_BITS))
     position = _align(KEY_BITS * len(chunks))
     of_values = np.repeat(keys, chunks)
     coded = np.flatnonzero(of_values != ZEROS)
@@ -57,7 +57,7 @@ def decode_integers(content: bytes, start: int, counts: Sequence[int]) -> tuple[
     position = _align(position + (int(ends[-1]) + 1 if len(ends) else 0))
     for bit in range(int(of_values.max(initial=0))):
         members = np.flatnonzero(of_values > bit)
-        values[members] |= _take(bits, position, len(members)).astype(np.int64) << bit
+        values[members] |= _read_bits(bits, position, len(members)).astype(np.int64) << bit
         position += len(members)
     result = np.zeros(sum(counts), np.int64)
     result[coded] = values
@@ -96,7 +96,7 @@ def _choose_keys(values: np.ndarray, starts: np.ndarray, counts: np.ndarray) -> 
     return np.where(sums == 0, ZEROS, best)
 
 
-def _take(bits: np.ndarray, start: int, count: int) -> np.ndarray:
+def _read_bits(bits: np.ndarray, start: int, count: int) -> np.ndarray:
     """Return `count` bits (N,) uint8. Raises FileError if there are fewer."""
     if start + count > len(bits):
         raise FileError("a block is shorter than its contents.")
