@@ -59,8 +59,8 @@ def cloud_levels():
     return sorted((item for item in bpy.data.objects if item.get("farfield_kind") == "cloud"), key=lambda item: item.name)
 
 
+@pytest.mark.slow
 def test_invalid_input_is_one_line_and_code_2(cube):
-    """So are unknown flags, which `test_commands` tries with every script."""
     command = [sys.executable, str(SCRIPT), str(cube.with_name("nowhere.obj")), "--out", str(cube.with_name("out.blend"))]
     missing = subprocess.run(command, capture_output=True, text=True, check=False)
     assert missing.returncode == 2

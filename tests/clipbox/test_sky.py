@@ -54,7 +54,7 @@ def render(scene, folder):
     return mean
 
 
-@pytest.mark.parametrize("height", [0.0, 30.0])
+@pytest.mark.parametrize("height", [pytest.param(0.0, marks=pytest.mark.slow), 30.0])
 def test_haze_is_the_fraction_that_was_asked_for_at_half_the_size_and_thins_with_height(tmp_path, height):
     scene, wall = hazy_wall(0.5 * SIZE, 0.4, height)
     near = render(scene, tmp_path)
