@@ -102,6 +102,7 @@ def open_light_table():
     """Yield a scene with a camera above and a Sun, and remove it."""
     with render_scene("Normal Maps") as work:
         prepare_cycles(work.scene, 4, 1)
+        work.scene.render.use_persistent_data = False  # The images of one terrain are removed before those of the next one are loaded.
         work.scene.render.resolution_x, work.scene.render.resolution_y = 64, 48
         work.camera.data.type, work.camera.data.ortho_scale, work.camera.data.clip_end = "ORTHO", 600.0, 1e4
         work.camera.location.z = 1000.0
