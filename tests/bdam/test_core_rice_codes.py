@@ -1,24 +1,29 @@
 """Rice codes alone: integers come back, and their bytes are those that are documented."""
 
+from itertools import chain
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from farfield.addon.core.bdam.store.rice_codes import CHUNK, decode_integers, encode_integers, to_signed, to_unsigned
+from farfield.addon.core.bdam.store.rice_codes import CHUNK, RiceReader, encode_integers, to_signed, to_unsigned
 from farfield.addon.core.errors import FileError
 
 VALUES = st.lists(st.integers(0, 2**33) | st.integers(0, 9) | st.just(0), max_size=3 * CHUNK)
 
 
-@given(streams=st.lists(VALUES, min_size=1, max_size=4), start=st.integers(0, 3))
-def test_integers_come_back(streams, start):
-    block = bytes(start) + encode_integers([np.array(stream, np.int64) for stream in streams])
-    decoded, end = decode_integers(block + b"\xff", start, [len(stream) for stream in streams])
-    assert [values.tolist() for values in decoded] == streams and end == len(block)
-    for size in range(start, len(block)):
+@given(groups=st.lists(st.lists(VALUES, min_size=3, max_size=3), min_size=1, max_size=4), start=st.integers(0, 3))
+def test_integers_of_several_blocks_come_back(groups, start):
+    blocks = [bytes(start) + encode_integers([np.array(stream, np.int64) for stream in streams]) for streams in groups]
+    counts = np.array([[len(stream) for stream in streams] for streams in groups])
+    reader = RiceReader([block + b"\xff" for block in blocks], start)
+    decoded = reader.read(counts)
+    assert [values.tolist() for values in decoded] == [list(chain(*streams)) for streams in zip(*groups, strict=True)]
+    assert reader.find_bytes() == [len(block) for block in blocks]
+    for size in range(start, len(blocks[0])):
         with pytest.raises(FileError, match="shorter"):
-            decode_integers(block[:size], start, [len(stream) for stream in streams])
+            RiceReader([blocks[0][:size], *blocks[1:]], start).read(counts)
 
 
 def test_known_integers_have_the_documented_bits():

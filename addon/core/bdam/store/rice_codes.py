@@ -13,10 +13,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ...arrays import concatenate_ranges, to_starts
 from ...errors import FileError
 
 CHUNK = 64  # values
 KEY_BITS, ZEROS = 5, 31
+TOO_SHORT = "a block is shorter than its contents."
 MAX_KEY = 30
 CANDIDATES = (-2, -1, 0, 1)  # numbers k that are tried, relative to the logarithm of the mean
 
@@ -24,8 +26,8 @@ CANDIDATES = (-2, -1, 0, 1)  # numbers k that are tried, relative to the logarit
 def encode_integers(streams: Sequence[np.ndarray]) -> bytes:
     """Encode streams (N,) of integers from 0 to 2**33."""
     values = np.concatenate(streams).astype(np.int64)
-    starts, counts = _split([len(stream) for stream in streams])
-    keys = _choose_keys(values, starts, counts)
+    counts = _split(np.array([len(stream) for stream in streams]))
+    keys = _choose_keys(values, np.cumsum(counts) - counts, counts)
     of_values = np.repeat(keys, counts)
     is_coded = of_values != ZEROS
     values, of_values = values[is_coded], of_values[is_coded]
@@ -37,31 +39,76 @@ def encode_integers(streams: Sequence[np.ndarray]) -> bytes:
     return b"".join(np.packbits(part, bitorder="little").tobytes() for part in parts)
 
 
-def decode_integers(content: bytes, start: int, counts: Sequence[int]) -> tuple[list[np.ndarray], int]:
-    """Return streams of `counts` integers, int64, from the position `start` in bytes, and the position after them.
+class RiceReader:
+    """Reads groups of streams from blocks that have as many streams, from all of them at once."""
 
-    Raises:
-        FileError: they are damaged.
-    """
-    _, chunks = _split(counts)
-    bits = np.unpackbits(np.frombuffer(content, np.uint8, offset=start), bitorder="little")
-    keys = _read_bits(bits, 0, KEY_BITS * len(chunks)).reshape(-1, KEY_BITS) @ (1 << np.arange(KEY_BITS))
-    position = _align(KEY_BITS * len(chunks))
-    of_values = np.repeat(keys, chunks)
-    coded = np.flatnonzero(of_values != ZEROS)
-    of_values = of_values[coded]
-    ends = np.flatnonzero(bits[position:])[: len(coded)]
-    if len(ends) != len(coded):
-        raise FileError("a block is shorter than its contents.")
-    values = np.diff(ends, prepend=-1) - 1 << of_values
-    position = _align(position + (int(ends[-1]) + 1 if len(ends) else 0))
-    for bit in range(int(of_values.max(initial=0))):
-        members = np.flatnonzero(of_values > bit)
-        values[members] |= _read_bits(bits, position, len(members)).astype(np.int64) << bit
-        position += len(members)
-    result = np.zeros(sum(counts), np.int64)
-    result[coded] = values
-    return np.split(result, np.cumsum(counts)[:-1]), start + _align(position) // 8
+    def __init__(self, contents: Sequence[bytes], start: int) -> None:
+        """contents: blocks (P,). start: where the first group begins in each, in bytes."""
+        self._bits = np.unpackbits(np.frombuffer(b"".join(contents), np.uint8), bitorder="little")
+        self._ones = np.flatnonzero(self._bits)
+        ends = 8 * to_starts(np.array([len(content) for content in contents]))
+        self._starts, self._ends = ends[:-1], ends[1:]
+        self._positions = self._starts + 8 * start
+
+    def read(self, counts: np.ndarray) -> list[np.ndarray]:
+        """Return the streams of the next group of `counts` (P, S) integers, int64: S arrays of those of all blocks, one after the other.
+
+        Raises:
+            FileError: a block is damaged.
+        """
+        chunks, of_blocks = _split(counts.ravel()), counts.sum(axis=1)
+        keys = self._take(KEY_BITS * (-(-counts // CHUNK)).sum(axis=1)).reshape(-1, KEY_BITS) @ (1 << np.arange(KEY_BITS))
+        self._align()
+        of_values = np.repeat(keys, chunks)
+        coded = np.flatnonzero(of_values != ZEROS)
+        of_values = of_values[coded]
+        starts = np.searchsorted(coded, to_starts(of_blocks))
+        values = self._take_quotients(starts) << of_values
+        members = np.arange(len(coded))
+        for bit in range(int(of_values.max(initial=0))):
+            members = members[of_values[members] > bit]
+            values[members] |= self._take(np.diff(np.searchsorted(members, starts))).astype(np.int64) << bit
+        self._align()
+        result = np.zeros(int(of_blocks.sum()), np.int64)
+        result[coded] = values
+        of_streams = to_starts(counts.ravel())[:-1].reshape(counts.shape)
+        return [result[concatenate_ranges(first, count)] for first, count in zip(of_streams.T, counts.T, strict=True)]
+
+    def find_bytes(self) -> list[int]:
+        """Return the positions in bytes after the last group, in each block."""
+        return ((self._positions - self._starts) // 8).tolist()
+
+    def _take(self, counts: np.ndarray) -> np.ndarray:
+        """Return the next `counts` (P,) bits of the blocks (N,) uint8. Raises FileError if there are fewer."""
+        positions = self._positions
+        self._advance(counts)
+        return self._bits[concatenate_ranges(positions, counts)]
+
+    def _take_quotients(self, starts: np.ndarray) -> np.ndarray:
+        """Return the next quotients of the blocks (N,) int64, those of a block from `starts` (P + 1,) on. Raises FileError."""
+        counts = np.diff(starts)
+        first = np.searchsorted(self._ones, self._positions)
+        if (first + counts > len(self._ones)).any():
+            raise FileError(TOO_SHORT)
+        ends = self._ones[concatenate_ranges(first, counts)]
+        quotients = np.diff(ends, prepend=0) - 1
+        filled = counts > 0
+        quotients[starts[:-1][filled]] = ends[starts[:-1][filled]] - self._positions[filled]
+        lengths = np.zeros(len(counts), np.int64)
+        lengths[filled] = ends[starts[1:][filled] - 1] + 1 - self._positions[filled]
+        self._advance(lengths)
+        self._align()
+        return quotients
+
+    def _advance(self, counts: np.ndarray) -> None:
+        """Move on by `counts` (P,) bits. Raises FileError if there are fewer."""
+        self._positions = self._positions + counts
+        if (self._positions > self._ends).any():
+            raise FileError(TOO_SHORT)
+
+    def _align(self) -> None:
+        """Move on to the next whole bytes."""
+        self._positions = -(-self._positions // 8) * 8
 
 
 def to_unsigned(values: np.ndarray) -> np.ndarray:
@@ -75,13 +122,12 @@ def to_signed(values: np.ndarray) -> np.ndarray:
     return values >> 1 ^ -(values & 1)
 
 
-def _split(counts: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return where the chunks (M,) of streams begin if the streams follow each other, and how many values they have, int64."""
-    sizes = [np.full(-(-count // CHUNK), CHUNK, np.int64) for count in counts]
-    for size, count in zip(sizes, counts, strict=True):
-        size[-1:] -= len(size) * CHUNK - count
-    lengths = np.concatenate(sizes)
-    return np.cumsum(lengths) - lengths, lengths
+def _split(counts: np.ndarray) -> np.ndarray:
+    """Return how many values the chunks (M,) of streams of `counts` (S,) values have, int64."""
+    chunks = -(-counts // CHUNK)
+    lengths = np.full(int(chunks.sum()), CHUNK, np.int64)
+    lengths[np.cumsum(chunks)[counts > 0] - 1] -= (chunks * CHUNK - counts)[counts > 0]
+    return lengths
 
 
 def _choose_keys(values: np.ndarray, starts: np.ndarray, counts: np.ndarray) -> np.ndarray:
@@ -94,15 +140,3 @@ def _choose_keys(values: np.ndarray, starts: np.ndarray, counts: np.ndarray) -> 
     bits = [np.add.reduceat(values >> np.repeat(candidate, counts), starts) + counts * candidate for candidate in keys]
     best = np.take_along_axis(keys, np.argmin(bits, axis=0)[None], axis=0)[0]
     return np.where(sums == 0, ZEROS, best)
-
-
-def _read_bits(bits: np.ndarray, start: int, count: int) -> np.ndarray:
-    """Return `count` bits (N,) uint8. Raises FileError if there are fewer."""
-    if start + count > len(bits):
-        raise FileError("a block is shorter than its contents.")
-    return bits[start : start + count]
-
-
-def _align(position: int) -> int:
-    """Return the position in bits of the next whole byte."""
-    return -(-position // 8) * 8
