@@ -14,10 +14,10 @@ from farfield.addon.core.bdam.store.patch_codec import (
     HEADER,
     MAX_GRADIENT,
     Patch,
-    encode_patch,
     find_boundaries,
 )
 from farfield.addon.core.bdam.store.patch_decoding import CodedPatch, decode_patches
+from farfield.addon.core.bdam.store.patch_encoding import encode_patches
 from farfield.addon.core.bdam.store.rice_codes import RiceReader, to_signed
 from farfield.addon.core.bdam.tree import Tree
 from farfield.addon.core.errors import FileError
@@ -62,6 +62,12 @@ def create_network(level: int, index: int, count: int, seed: int, hole_fraction:
     triangles = np.where((areas < 0)[:, None], triangles[:, ::-1], triangles)[areas != 0]
     x, y = points.T.astype(np.int32)
     return create_patch(x, y, triangles, corners, random, hole_fraction), corners
+
+
+def encode_patch(patch: Patch, corners, is_leaf: bool, gradient_step: float) -> bytes:
+    """The block of one patch."""
+    (block,) = encode_patches([patch], corners[None], is_leaf, gradient_step)
+    return block
 
 
 def decode(block: bytes, patch: Patch, corners, leaf=None) -> Patch:
@@ -150,6 +156,11 @@ def test_many_patches_at_once_are_those_alone(seeds):
             patch, corners, leaf = create_leaf(int(tree.existing_triangles(tree.leaf_level)[seed % 90]), seed, 0.3 * (seed % 2), tree)
         block = encode_patch(patch, corners, leaf is not None, GRADIENT_STEP)
         coded.append(CodedPatch(block, corners, len(patch.x), len(patch.triangles), leaf))
+    for is_leaf in (False, True):
+        alike = [patch for patch in coded if (patch.leaf is not None) == is_leaf]
+        if alike:
+            patches, corners = decode_patches(alike, GRADIENT_STEP), np.array([patch.corners for patch in alike])
+            assert encode_patches(patches, corners, is_leaf, GRADIENT_STEP) == [patch.content for patch in alike]
     for patch, found in zip(coded, decode_patches(coded, GRADIENT_STEP), strict=True):
         (alone,) = decode_patches([patch], GRADIENT_STEP)
         for name in ("x", "y", "z", "boundary", "gradients", "triangles", "is_hole"):

@@ -13,7 +13,8 @@ import numpy as np
 from ...arrays import to_starts
 from ...files.sealed_files import write_sealed
 from ..store.leaf_grids import leaf_grid
-from ..store.patch_codec import Patch, encode_patch, find_boundaries
+from ..store.patch_codec import Patch, find_boundaries
+from ..store.patch_encoding import encode_patches
 from ..store.patch_outlines import count_outline_triangles
 from .diamond_meshes import sample_gradients
 from .patch_set import EncodedPatches, PatchSet, join, read_patches, write_patches
@@ -100,7 +101,7 @@ class BuildTasks:
     def _encode(self, level: int, indices: np.ndarray, errors: np.ndarray, patches: list[Patch]) -> EncodedPatches:
         corners = self._tree.triangle_corners(level, indices)
         is_leaf, gradient_step = level == self._tree.leaf_level, self._folder.parameters.gradient_step
-        blocks = [encode_patch(patch, corner, is_leaf, gradient_step) for patch, corner in zip(patches, corners, strict=True)]
+        blocks = encode_patches(patches, corners, is_leaf, gradient_step)
         outlines = [count_outline_triangles(patch, corner) for patch, corner in zip(patches, corners, strict=True)]
         return EncodedPatches(
             indices,

@@ -9,7 +9,7 @@ import numpy as np
 from ...arrays import concatenate_ranges, to_starts
 from ...errors import FileError
 from .leaf_grids import LeafGrid
-from .patch_codec import HEADER, MAX_HEIGHT, USUAL_FAN, Patch, find_boundaries, predict_gradients
+from .patch_codec import HEADER, MAX_HEIGHT, USUAL_FAN, Patch, find_boundaries, place_on_grid, predict_gradients
 from .rice_codes import RiceReader, to_signed
 
 MAX_BYTES = 5  # The largest mean size of the coded integers of a chunk.
@@ -31,7 +31,7 @@ class CodedPatch:
 
 
 def decode_patches(coded: Sequence[CodedPatch], gradient_step: float) -> list[Patch]:
-    """Return the patches of blocks. gradient_step: see `encode_patch`.
+    """Return the patches of blocks. gradient_step: see `encode_patches`.
 
     Raises:
         FileError: one of the blocks is damaged.
@@ -154,10 +154,8 @@ def _sweep(
 def _restore_leaves(
     x: np.ndarray, y: np.ndarray, corners: np.ndarray, vertices: np.ndarray, first_heights: np.ndarray, differences: np.ndarray
 ) -> np.ndarray:
-    """Return the heights (V,) int64 of leaves with `vertices` (P,), see `_predict_leaf`."""
-    leaves, starts = np.repeat(np.arange(len(vertices)), vertices), to_starts(vertices)[:-1]
-    columns, rows = (np.abs(axis - np.repeat(corners[:, 2, number], vertices)) for number, axis in enumerate((x, y)))
-    columns, rows = (places - np.repeat(np.minimum.reduceat(places, starts), vertices) for places in (columns, rows))
+    """Return the heights (V,) int64 of leaves with `vertices` (P,), see `patch_encoding`."""
+    leaves, columns, rows = place_on_grid(x, y, corners, vertices)
     grids = np.zeros((len(vertices), columns.max() + 1, rows.max() + 1), np.int64)
     is_other = columns + rows > 0
     grids[:, 0, 0], grids[leaves[is_other], columns[is_other], rows[is_other]] = first_heights, differences

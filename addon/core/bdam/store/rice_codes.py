@@ -10,6 +10,7 @@ spacecraft television data, 1971). A group of streams is coded as three parts, e
 """
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -23,20 +24,39 @@ MAX_KEY = 30
 CANDIDATES = (-2, -1, 0, 1)  # numbers k that are tried, relative to the logarithm of the mean
 
 
-def encode_integers(streams: Sequence[np.ndarray]) -> bytes:
-    """Encode streams (N,) of integers from 0 to 2**33."""
-    values = np.concatenate(streams).astype(np.int64)
-    counts = _split(np.array([len(stream) for stream in streams]))
-    keys = _choose_keys(values, np.cumsum(counts) - counts, counts)
-    of_values = np.repeat(keys, counts)
-    is_coded = of_values != ZEROS
-    values, of_values = values[is_coded], of_values[is_coded]
-    quotients = np.zeros(int((values >> of_values).sum()) + len(values), np.uint8)
-    quotients[np.cumsum((values >> of_values) + 1) - 1] = 1
-    planes = [(values[of_values > bit] >> bit & 1).astype(np.uint8) for bit in range(int(of_values.max(initial=0)))]
-    key_bits = (keys[:, None] >> np.arange(KEY_BITS) & 1).astype(np.uint8)
-    parts = (key_bits.ravel(), quotients, np.concatenate([np.zeros(0, np.uint8), *planes]))
-    return b"".join(np.packbits(part, bitorder="little").tobytes() for part in parts)
+def encode_integers(streams: Sequence[np.ndarray], counts: np.ndarray) -> list[bytes]:
+    """Return the groups of blocks (P,).
+
+    Args:
+        streams: S arrays of integers from 0 to 2**33, those of all blocks, one after the other. counts: (P, S) their numbers.
+    """
+    values = np.empty(int(counts.sum()), np.int64)
+    for stream, rows in zip(streams, _stream_rows(counts), strict=True):
+        values[rows] = stream
+    chunks = _split(counts.ravel())
+    keys = _choose_keys(values, np.cumsum(chunks) - chunks, chunks)
+    of_values = np.repeat(keys, chunks)
+    coded = np.flatnonzero(of_values != ZEROS)
+    values, of_values = values[coded], of_values[coded]
+    of_blocks = np.searchsorted(coded, to_starts(counts.sum(axis=1)))  # where the coded values of each block begin
+    unary = (values >> of_values) + 1
+    # The first bit of each of the three parts of a block.
+    key_bits = KEY_BITS * (-(-counts // CHUNK)).sum(axis=1)
+    parts = np.stack([key_bits, *(np.diff(to_starts(bits)[of_blocks]) for bits in (unary, of_values))], axis=1)
+    starts = 8 * to_starts(-(-parts.ravel() // 8))
+    positions = starts[:-1].reshape(parts.shape).T.copy()
+    bits = np.zeros(int(starts[-1]), np.uint8)
+    bits[concatenate_ranges(positions[0], key_bits)] = (keys[:, None] >> np.arange(KEY_BITS) & 1).ravel()
+    sums = to_starts(unary)
+    bits[sums[1:] - 1 + np.repeat(positions[1] - sums[of_blocks[:-1]], np.diff(of_blocks))] = 1
+    members, place = np.arange(len(values)), positions[2]
+    for bit in range(int(of_values.max(initial=0))):
+        members = members[of_values[members] > bit]
+        of_bit = np.diff(np.searchsorted(members, of_blocks))
+        bits[concatenate_ranges(place, of_bit)] = values[members] >> bit & 1
+        place += of_bit
+    content = np.packbits(bits, bitorder="little").tobytes()
+    return [content[start:end] for start, end in pairwise((starts[:: parts.shape[1]] // 8).tolist())]
 
 
 class RiceReader:
@@ -71,8 +91,7 @@ class RiceReader:
         self._align()
         result = np.zeros(int(of_blocks.sum()), np.int64)
         result[coded] = values
-        of_streams = to_starts(counts.ravel())[:-1].reshape(counts.shape)
-        return [result[concatenate_ranges(first, count)] for first, count in zip(of_streams.T, counts.T, strict=True)]
+        return [result[rows] for rows in _stream_rows(counts)]
 
     def find_bytes(self) -> list[int]:
         """Return the positions in bytes after the last group, in each block."""
@@ -120,6 +139,12 @@ def to_unsigned(values: np.ndarray) -> np.ndarray:
 def to_signed(values: np.ndarray) -> np.ndarray:
     """Return the integers (N,) int64 that `to_unsigned` was given."""
     return values >> 1 ^ -(values & 1)
+
+
+def _stream_rows(counts: np.ndarray) -> list[np.ndarray]:
+    """Return where the values of S streams are if those of (P, S) counts follow each other by blocks, then by streams."""
+    starts = to_starts(counts.ravel())[:-1].reshape(counts.shape)
+    return [concatenate_ranges(first, count) for first, count in zip(starts.T, counts.T, strict=True)]
 
 
 def _split(counts: np.ndarray) -> np.ndarray:
