@@ -19,8 +19,12 @@ MAX_BYTES = 5  # The largest mean size of the coded integers of a chunk.
 class CodedPatch:
     """The block of a patch, and what is known of it from elsewhere.
 
-    content: the block. corners: (3, 2) int, of the bintree triangle. vertex_count, triangle_count: of the patch. leaf: its samples, None
-    unless it is a leaf.
+    Attributes:
+        content: the block.
+        corners: (3, 2) int, of the bintree triangle.
+        vertex_count: of the patch.
+        triangle_count: of the patch.
+        leaf: its samples, None unless it is a leaf.
     """
 
     content: bytes
@@ -123,7 +127,7 @@ def _sweep(
     """
     is_first = np.zeros(len(places), bool)
     is_first[starts[:-1]] = True
-    lengths = _accumulate(np.where(is_first, 1, 2 - counts), starts)  # of the front after each vertex
+    lengths = _accumulate(np.where(is_first, 1, 2 - counts), starts)  # Of the front after each vertex.
     if ((places < 0) | (places + 3 > lengths))[~is_first].any():
         raise FileError("a block contains triangles of vertices that do not exist.")
     places = places + np.repeat(to_starts(lengths[starts[1:] - 1])[:-1], np.diff(starts))
