@@ -36,16 +36,17 @@ class Flight:
         self.engine = BdamEngine(folder, ViewSettings(tolerance=4.0, shading=shading, **values), lambda: self.time)
         self.prefetches, self.is_moving = prefetches, False
         self.in_moves, self.between = 0, 0
-        self._count_reads(self.engine.store, "read")
+        self._count_reads(self.engine.store, "read_all", len)
         if self.engine.store.textures is not None:
-            self._count_reads(self.engine.store.textures, "read_coded")
+            self._count_reads(self.engine.store.textures, "read_coded", lambda _: 1)
 
-    def _count_reads(self, source, name) -> None:
+    def _count_reads(self, source, name, count_items) -> None:
         read = getattr(source, name)
 
-        def count(*arguments):
-            self.in_moves, self.between = self.in_moves + self.is_moving, self.between + (not self.is_moving)
-            return read(*arguments)
+        def count(items):
+            self.in_moves += count_items(items) * self.is_moving
+            self.between += count_items(items) * (not self.is_moving)
+            return read(items)
 
         setattr(source, name, count)
 
