@@ -2,7 +2,8 @@
 
 Prints JSON. Parts (`--only`): `simplifiers` (vertices at equal measured error: quadric collapses, half-edge collapses, greedy insertion
 and right-triangulated meshes), `simplifier_alone` (against pydelatin), `uniform_cut`, `view_cut` and `cliffs` (against both peers),
-`build` (time, memory and growth), `disk`, `extraction` (200 frames of a fly-over), `cracks`, `screen_error`, `seams` (of textures), `kill`
+`build` (time, memory and growth), `disk`, `extraction` (200 frames of a fly-over), `following` (CPU time of decoding, of the
+first view and of moves, and slices of the main thread), `cracks`, `screen_error`, `seams` (of textures), `kill`
 (kill -9 and resume), `flip` (flipped bytes are found), `geographic` (vertical distances in the local frame of a grid of degrees),
 `full_grid` (the same terrain as a full grid in Cycles: time, memory and FLIP), `erosion` (time, memory, and measures of eroded and real
 ground).
@@ -31,6 +32,7 @@ from bdam_builds import measure_build, measure_disk, measure_extraction, measure
 from bdam_checks import measure_cracks, measure_screen_error
 from bdam_erosion import measure_erosion
 from bdam_flips import measure_flips
+from bdam_following import measure_following
 from bdam_geographic import measure_geographic
 from bdam_renders import measure_full_grid
 from bdam_simplifiers import measure_cliffs, measure_simplifier_alone, measure_simplifiers, measure_uniform_cut, measure_view_cut
@@ -51,6 +53,7 @@ PARTS = {
     "build": measure_build,
     "disk": measure_disk,
     "extraction": measure_extraction,
+    "following": measure_following,
     "cracks": measure_cracks,
     "screen_error": measure_screen_error,
     "seams": measure_seams,

@@ -19,6 +19,11 @@ def concatenate_ranges(starts: np.ndarray | int, counts: np.ndarray) -> np.ndarr
     return np.arange(counts.sum()) - np.repeat(offsets - starts, counts)
 
 
+def to_starts(counts: np.ndarray) -> np.ndarray:
+    """Return (N + 1,) int64: 0 and the cumulative sums of `counts` (N,)."""
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+
+
 def find_group_medians(groups: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return for each row of `values` (N, C) the medians (N, C) of the rows with the same of `groups` (N,), which must be ascending."""
     _, starts, counts = np.unique(groups, return_index=True, return_counts=True)

@@ -14,16 +14,23 @@ from farfield.addon.core.bdam.store.patch_codec import (
     HEADER,
     MAX_GRADIENT,
     Patch,
-    decode_patch,
-    encode_patch,
-    find_boundary,
+    find_boundaries,
 )
-from farfield.addon.core.bdam.store.rice_codes import decode_integers, to_signed
+from farfield.addon.core.bdam.store.patch_decoding import CodedPatch, decode_patches
+from farfield.addon.core.bdam.store.patch_encoding import encode_patches
+from farfield.addon.core.bdam.store.rice_codes import RiceReader, to_signed
 from farfield.addon.core.bdam.tree import Tree
 from farfield.addon.core.errors import FileError
 
 GRADIENT_STEP = 0.25
 TREE = Tree(65, 65, 8)
+
+
+def find_boundary(x, y, corners) -> np.ndarray:
+    """The vertices on the edges of one triangle."""
+    boundary, starts = find_boundaries(x, y, corners[None], np.array([len(x)]))
+    assert starts.tolist() == [0, len(boundary)]
+    return boundary.astype(np.int32)
 
 
 def create_patch(x, y, triangles, corners, random, hole_fraction) -> Patch:
@@ -57,8 +64,14 @@ def create_network(level: int, index: int, count: int, seed: int, hole_fraction:
     return create_patch(x, y, triangles, corners, random, hole_fraction), corners
 
 
+def encode_patch(patch: Patch, corners, is_leaf: bool, gradient_step: float) -> bytes:
+    """The block of one patch."""
+    (block,) = encode_patches([patch], corners[None], is_leaf, gradient_step)
+    return block
+
+
 def decode(block: bytes, patch: Patch, corners, leaf=None) -> Patch:
-    return decode_patch(block, corners, len(patch.x), len(patch.triangles), leaf, GRADIENT_STEP)
+    return decode_patches([CodedPatch(block, corners, len(patch.x), len(patch.triangles), leaf)], GRADIENT_STEP)[0]
 
 
 def contents(patch: Patch) -> list[tuple]:
@@ -83,17 +96,18 @@ def test_a_known_patch_has_the_documented_streams():
     patch = Patch(*points.T.astype(np.int32), heights, boundary, gradients, triangles, np.array([False, True, False]))
     block = encode_patch(patch, corners, False, GRADIENT_STEP)
     assert HEADER.unpack_from(block) == (3, 10), "columns, and the first height"
-    mesh, position = decode_integers(block, HEADER.size, [3, 3, 4, 3, 3])
+    reader = RiceReader([block], HEADER.size)
+    mesh = reader.read(np.array([[3, 3, 4, 3, 3]]))
     steps, sizes, offsets = mesh[:3]
     assert steps.tolist() == [0, 3, 3], "steps to columns, less one but for the first"
     assert sizes.tolist() == [0, 0, 1], "vertices of columns less one"
     assert offsets.tolist() == [0, 2, 0, 7], "y from the corner, or to the previous vertex less one"
     assert to_signed(mesh[3]).tolist() == [0, -1, 0], "l1 is 0 in the front 0, 0 in the front 0, 1, 0, and 2 in the front 0, 2, 1, 0"
     assert to_signed(mesh[4]).tolist() == [-2, -1, 0], "triangles of each fan, less two"
-    (differences, derivatives), position = decode_integers(block, position, [3, 6])
+    differences, derivatives = reader.read(np.array([[3, 6]]))
     assert to_signed(differences).tolist() == [-3, -1, 12], "heights 7, 7, 20 from (10 + 10) / 2, (10 + 7) / 2, (7 + 10) / 2, rounded down"
     assert to_signed(derivatives).tolist() == [7, -2, 5, -6, -5, -10], "1, 0, 3 from -6, 2, -2 along x; 0, -2, 0 from 6, 3, 10 along y"
-    assert block[position:] == bytes([1, 0b010]), "triangles 0, 2, 1 of the sweep: the second one is a hole"
+    assert block[reader.find_bytes()[0] :] == bytes([1, 0b010]), "triangles 0, 2, 1 of the sweep: the second one is a hole"
 
 
 @pytest.mark.parametrize(("level", "index"), [(0, 0), (0, 1), (1, 2), (3, 5), (4, 9)])
@@ -128,6 +142,29 @@ def test_networks_come_back(level, data, count, seed, holes):
     first, second = (points[decoded.triangles[:, index]] - points[decoded.triangles[:, 0]] for index in (1, 2))
     assert (first[:, 0] * second[:, 1] > first[:, 1] * second[:, 0]).all(), "triangles are counterclockwise"
     assert encode_patch(decoded, corners, False, GRADIENT_STEP) == block
+
+
+@given(seeds=st.lists(SEEDS, min_size=1, max_size=9))
+def test_many_patches_at_once_are_those_alone(seeds):
+    coded = []
+    for seed in seeds:
+        if seed % 3:
+            level = seed % 6
+            (patch, corners), leaf = create_network(level, seed % (2 << level), seed % 200, seed, 0.3 * (seed % 2)), None
+        else:
+            tree = TREE if seed % 2 else Tree(61, 59, 8)
+            patch, corners, leaf = create_leaf(int(tree.existing_triangles(tree.leaf_level)[seed % 90]), seed, 0.3 * (seed % 2), tree)
+        block = encode_patch(patch, corners, leaf is not None, GRADIENT_STEP)
+        coded.append(CodedPatch(block, corners, len(patch.x), len(patch.triangles), leaf))
+    for is_leaf in (False, True):
+        alike = [patch for patch in coded if (patch.leaf is not None) == is_leaf]
+        if alike:
+            patches, corners = decode_patches(alike, GRADIENT_STEP), np.array([patch.corners for patch in alike])
+            assert encode_patches(patches, corners, is_leaf, GRADIENT_STEP) == [patch.content for patch in alike]
+    for patch, found in zip(coded, decode_patches(coded, GRADIENT_STEP), strict=True):
+        (alone,) = decode_patches([patch], GRADIENT_STEP)
+        for name in ("x", "y", "z", "boundary", "gradients", "triangles", "is_hole"):
+            assert np.array_equal(getattr(found, name), getattr(alone, name)) and getattr(found, name).dtype == getattr(alone, name).dtype
 
 
 def test_gradients_steeper_than_can_be_stored_become_the_steepest():

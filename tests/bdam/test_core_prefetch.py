@@ -36,16 +36,17 @@ class Flight:
         self.engine = BdamEngine(folder, ViewSettings(tolerance=4.0, shading=shading, **values), lambda: self.time)
         self.prefetches, self.is_moving = prefetches, False
         self.in_moves, self.between = 0, 0
-        self._count_reads(self.engine.store, "read")
+        self._count_reads(self.engine.store, "read_all", len)
         if self.engine.store.textures is not None:
-            self._count_reads(self.engine.store.textures, "read_coded")
+            self._count_reads(self.engine.store.textures, "read_coded", lambda _: 1)
 
-    def _count_reads(self, source, name) -> None:
+    def _count_reads(self, source, name, count_items) -> None:
         read = getattr(source, name)
 
-        def count(*arguments):
-            self.in_moves, self.between = self.in_moves + self.is_moving, self.between + (not self.is_moving)
-            return read(*arguments)
+        def count(items):
+            self.in_moves += count_items(items) * self.is_moving
+            self.between += count_items(items) * (not self.is_moving)
+            return read(items)
 
         setattr(source, name, count)
 
@@ -179,13 +180,11 @@ def test_damaged_patches_are_left_out(folders):
     with TerrainStore(folders["plain"]) as store:
         cache = PatchCache(store)
         keys = extract_uniform_cut(store, 5.0).list_patches()
-        read = store.read
+        read_all = store.read_all
 
-        def fail(level, row):
-            if (level, row) == keys[1][:2]:
-                raise FileError("damaged.")
-            return read(level, row)
+        def fail(places):
+            return [FileError("damaged.") if place == keys[1][:2] else patch for place, patch in zip(places, read_all(places), strict=True)]
 
-        store.read = fail
+        store.read_all = fail
         run_to_end(Prefetch(cache, []).read(keys))
         assert [cache.touch(key) is None for key in keys] == [key == keys[1] for key in keys]

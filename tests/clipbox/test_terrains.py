@@ -13,6 +13,7 @@ from farfield.addon.core.clipbox.terrains.formulas import Formula
 from farfield.addon.core.clipbox.terrains.generators import BUILDERS, Sampler, build_sampler
 from farfield.addon.core.clipbox.terrains.grids import Grid
 from farfield.addon.core.clipbox.terrains.hashing import hash_lattice, uniform_random
+from farfield.addon.core.clipbox.terrains.height_noise import Gullies, carve_gullies, sum_octaves
 from farfield.addon.core.clipbox.terrains.spheres import (
     MAX_DISTANCE,
     SURFACE_MARGIN,
@@ -29,6 +30,22 @@ FIELD = SphereField(max_radius=12.0, class_count=3, spheres_per_cell=3, subtract
 
 def sampler(name, **changes):
     return build_sampler(ClipboxSettings(terrain=name, **changes))
+
+
+@given(seed=st.integers(0, 2**32 - 1), start=st.floats(-1e6, 1e6))
+def test_heights_do_not_depend_on_which_samples_are_computed_together(seed, start):
+    places = start + 40.0 * np.random.default_rng(seed).random((2, 25))
+    x, y = np.broadcast_arrays(places[0][:, None], places[1])
+    gullies = Gullies(9.0, 2, 0.1, 0.8, 0.3)
+
+    def compute(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        heights = carve_gullies(sum_octaves(x, y, 0.5, 20.0, 3, seed % 1000), x, y, 0.5, gullies, 7)
+        return np.stack([heights.height, heights.gradient_x, heights.gradient_y])
+
+    together = compute(x, y)  # Close to each other: more samples than points of the lattices.
+    assert np.array_equal(compute(x[:, :1], y[:, :1]), together[:, :, :1])
+    scattered = compute(np.append(x[:, :1], [[5e6]], axis=0), np.append(y[:, :1], [[-3e6]], axis=0))
+    assert np.array_equal(scattered[:, :-1], together[:, :, :1])
 
 
 @pytest.mark.parametrize("name", PROCEDURAL)

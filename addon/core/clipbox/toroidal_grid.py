@@ -41,7 +41,8 @@ class ToroidalGrid:
         if self._data is None and computed:
             self._data = np.empty((self.side,) * 3, computed[0][1].dtype)
         for slab, values in computed:
-            self._data[self._wrapped_indices(slab.origin, slab.shape)] = values
+            for stored, part in self._split(np.array(slab.origin), np.add(slab.origin, slab.shape)):
+                self._data[stored] = values[part]
         new_count = sum(int(np.prod(high - low)) for low, high in new_slabs)
         self.computed += new_count
         self.reused += self.side**3 - new_count if self.origin is not None else 0
@@ -49,12 +50,12 @@ class ToroidalGrid:
 
     def window(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """Return a copy of the voxels `low` to `high` (3,), all within the cube."""
-        segments = [_wrap_segments(first, last, self.side) for first, last in zip(low.tolist(), high.tolist(), strict=True)]
-        if all(len(axis_segments) == 1 for axis_segments in segments):
-            return self._data[tuple(source for ((source, _),) in segments)].copy()
+        parts = self._split(low, high)
+        if len(parts) == 1:
+            return self._data[parts[0][0]].copy()
         window = np.empty(tuple((high - low).tolist()), self._data.dtype)
-        for part in product(*segments):
-            window[tuple(target for _, target in part)] = self._data[tuple(source for source, _ in part)]
+        for stored, part in parts:
+            window[part] = self._data[stored]
         return window
 
     def values_at(self, voxels: np.ndarray) -> np.ndarray:
@@ -67,8 +68,10 @@ class ToroidalGrid:
         x, y, z = ((voxels[:, axis, None] + np.arange(2)) % self.side for axis in range(3))
         return self._data[x[:, :, None, None], y[:, None, :, None], z[:, None, None, :]]
 
-    def _wrapped_indices(self, origin: tuple[int, int, int], shape: tuple[int, int, int]) -> tuple[np.ndarray, ...]:
-        return np.ix_(*(np.arange(low, low + count) % self.side for low, count in zip(origin, shape, strict=True)))
+    def _split(self, low: np.ndarray, high: np.ndarray) -> list[tuple[tuple[slice, ...], tuple[slice, ...]]]:
+        """Split the voxels `low` to `high` (3,) into parts that are stored contiguously: where they are stored, and in the window."""
+        segments = [_wrap_segments(first, last, self.side) for first, last in zip(low.tolist(), high.tolist(), strict=True)]
+        return [tuple(zip(*part, strict=True)) for part in product(*segments)]
 
 
 def _wrap_segments(low: int, high: int, side: int) -> list[tuple[slice, slice]]:

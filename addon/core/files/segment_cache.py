@@ -1,9 +1,11 @@
 """A cache of decoded parts of files that is limited in bytes."""
 
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from threading import Lock
 from typing import Protocol, TypeVar
+
+from ..errors import FarfieldError
 
 DEFAULT_CACHE_BYTES = 64 << 20
 
@@ -31,23 +33,42 @@ class SegmentCache:
 
         Two threads that need the same array at the same time both create it. An array of more than `max_bytes` is not kept.
         """
+        array = self._find(key)
+        if array is None:
+            array = create()
+            self._keep(key, array)
+        return array
+
+    def get_all(
+        self, keys: Sequence[Hashable], create: Callable[[list[Hashable]], Sequence[Segment | FarfieldError]]
+    ) -> list[Segment | FarfieldError]:
+        """Return the arrays of keys, of which `create` returns those that are not kept, or errors instead."""
+        found = {key: self._find(key) for key in keys}
+        missing = [key for key, array in found.items() if array is None]
+        if missing:
+            created = dict(zip(missing, create(missing), strict=True))
+            for key, array in created.items():
+                if not isinstance(array, FarfieldError):
+                    self._keep(key, array)
+            found.update(created)
+        return [found[key] for key in keys]
+
+    def _find(self, key: Hashable) -> HasBytes | None:
         with self._lock:
-            if key in self._arrays:
-                self._arrays.move_to_end(key)
-                return self._arrays[key]
-        array = create()
+            if key not in self._arrays:
+                return None
+            self._arrays.move_to_end(key)
+            return self._arrays[key]
+
+    def _keep(self, key: Hashable, array: HasBytes) -> None:
         with self._lock:
             if key not in self._arrays and array.nbytes <= self.max_bytes:
                 self._arrays[key] = array
                 self.byte_count += array.nbytes
                 while self.byte_count > self.max_bytes:
                     self.byte_count -= self._arrays.popitem(last=False)[1].nbytes
-        return array
 
     def touch(self, key: Hashable) -> int | None:
         """Keep an array as if it had just been used. Returns its bytes, None if it is not kept."""
-        with self._lock:
-            if key not in self._arrays:
-                return None
-            self._arrays.move_to_end(key)
-            return self._arrays[key].nbytes
+        array = self._find(key)
+        return None if array is None else array.nbytes

@@ -12,7 +12,7 @@ from typing import Self
 
 import numpy as np
 
-from ...arrays import concatenate_ranges
+from ...arrays import concatenate_ranges, to_starts
 from ...errors import FileError
 from ...files.file_access import error_reason
 from ...files.sealed_files import DIGEST_BYTES, seal, unseal, write_sealed
@@ -100,11 +100,6 @@ def join(parts: list[PatchSet]) -> PatchSet:
     for name in ("vertex_starts", "triangle_starts", "sample_starts"):
         arrays[name] = [to_starts(np.concatenate([np.diff(starts) for starts in arrays[name]]))]
     return PatchSet(**{name: np.concatenate(values) for name, values in arrays.items()})
-
-
-def to_starts(counts: np.ndarray) -> np.ndarray:
-    """Return (N + 1,) int64: 0 and the cumulative sums of `counts` (N,)."""
-    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...arrays import concatenate_ranges, gather
+from ...arrays import concatenate_ranges, gather, to_starts
 from ..height_meshes import sum_gradients
 from ..simplification.collapse_costs import FREE, HORIZONTAL, LOCKED, VERTICAL
 from ..simplification.collapsed_fans import RemovedSamples
@@ -10,7 +10,7 @@ from ..simplification.decimation import MeshBatch, simplify
 from ..tree import Tree
 from .diamond_meshes import DiamondMeshes, classify_vertices, triangulate_field, weld_patches
 from .height_grid import HeightGrid, split_rows
-from .patch_set import PatchSet, to_starts
+from .patch_set import PatchSet
 from .vertical_errors import Measurement, measure_triangles
 
 # The next level measures so many samples of a triangle: without any, errors grow unseen, and all of them would take too long.

@@ -10,9 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
+from ...arrays import to_starts
 from ...files.sealed_files import write_sealed
 from ..store.leaf_grids import leaf_grid
-from ..store.patch_codec import Patch, encode_patch, find_boundary
+from ..store.patch_codec import Patch, find_boundaries
+from ..store.patch_encoding import encode_patches
 from ..store.patch_outlines import count_outline_triangles
 from .diamond_meshes import sample_gradients
 from .patch_set import EncodedPatches, PatchSet, join, read_patches, write_patches
@@ -61,14 +63,16 @@ class BuildTasks:
         leaves = [leaf_grid(self._tree, corner) for corner in corners]
         low, high = corners.min(axis=(0, 1)), np.minimum(corners.max(axis=(0, 1)), [self._tree.columns - 1, self._tree.rows - 1])
         heights, is_known = grid.read(slice(low[1], high[1] + 1), slice(low[0], high[0] + 1))
-        boundaries = [find_boundary(leaf.x, leaf.y, corner) for leaf, corner in zip(leaves, corners, strict=True)]
-        x, y = (np.concatenate([getattr(leaf, axis)[rows] for leaf, rows in zip(leaves, boundaries, strict=True)]) for axis in "xy")
-        gradients = np.split(sample_gradients(x, y, grid), np.cumsum([len(rows) for rows in boundaries])[:-1])
+        x, y = (np.concatenate([getattr(leaf, axis) for leaf in leaves]) for axis in "xy")
+        starts = to_starts(np.array([len(leaf.x) for leaf in leaves]))
+        boundary, boundary_starts = find_boundaries(x, y, corners, np.diff(starts))
+        gradients = np.split(sample_gradients(x[boundary], y[boundary], grid), boundary_starts[1:-1])
+        boundaries = np.split((boundary - np.repeat(starts[:-1], np.diff(boundary_starts))).astype(np.int32), boundary_starts[1:-1])
         patches = []
-        for leaf, boundary, gradient in zip(leaves, boundaries, gradients, strict=True):
+        for leaf, rows_on_edge, gradient in zip(leaves, boundaries, gradients, strict=True):
             rows, columns = leaf.y - low[1], leaf.x - low[0]
             is_hole = ~is_known[rows, columns][leaf.triangles].any(axis=1)
-            patches.append(Patch(leaf.x, leaf.y, heights[rows, columns], boundary, gradient, leaf.triangles, is_hole))
+            patches.append(Patch(leaf.x, leaf.y, heights[rows, columns], rows_on_edge, gradient, leaf.triangles, is_hole))
         return self._encode(level, indices, np.zeros(len(indices), np.float32), patches)
 
     def _simplify(self, level: int, shard: int) -> EncodedPatches:
@@ -85,7 +89,7 @@ class BuildTasks:
             write_patches(self._folder.patches_path(level, shard), patches, users)
         corners = self._tree.triangle_corners(level, indices)
         errors = patches.errors + bound_curvature_errors(patches, self._folder.parameters.curvature)
-        return self._encode(level, indices, errors, [_extract(patches, row, corner) for row, corner in enumerate(corners)])
+        return self._encode(level, indices, errors, _extract(patches, corners))
 
     def _load_children(self, level: int, shard: int, indices: np.ndarray) -> PatchSet:
         """Return the existing children of the triangles (N,) of a shard, in ascending order."""
@@ -97,7 +101,7 @@ class BuildTasks:
     def _encode(self, level: int, indices: np.ndarray, errors: np.ndarray, patches: list[Patch]) -> EncodedPatches:
         corners = self._tree.triangle_corners(level, indices)
         is_leaf, gradient_step = level == self._tree.leaf_level, self._folder.parameters.gradient_step
-        blocks = [encode_patch(patch, corner, is_leaf, gradient_step) for patch, corner in zip(patches, corners, strict=True)]
+        blocks = encode_patches(patches, corners, is_leaf, gradient_step)
         outlines = [count_outline_triangles(patch, corner) for patch, corner in zip(patches, corners, strict=True)]
         return EncodedPatches(
             indices,
@@ -109,12 +113,14 @@ class BuildTasks:
         )
 
 
-def _extract(patches: PatchSet, row: int, corners: np.ndarray) -> Patch:
-    """Return patch `row` with its corners (3, 2) in the bintree."""
-    vertices = slice(patches.vertex_starts[row], patches.vertex_starts[row + 1])
-    triangles = slice(patches.triangle_starts[row], patches.triangle_starts[row + 1])
-    x, y = patches.x[vertices], patches.y[vertices]
-    boundary = find_boundary(x, y, corners)
-    return Patch(
-        x, y, patches.z[vertices], boundary, patches.gradients[vertices][boundary], patches.triangles[triangles], patches.is_hole[triangles]
-    )
+def _extract(patches: PatchSet, corners: np.ndarray) -> list[Patch]:
+    """Return the patches of a set with their corners (P, 3, 2) in the bintree."""
+    boundary, starts = find_boundaries(patches.x, patches.y, corners, np.diff(patches.vertex_starts))
+    gradients, result = patches.gradients[boundary], []
+    for row in range(len(patches)):
+        vertices, on_edges = slice(*patches.vertex_starts[row : row + 2]), slice(*starts[row : row + 2])
+        triangles = slice(*patches.triangle_starts[row : row + 2])
+        axes = (axis[vertices] for axis in (patches.x, patches.y, patches.z))
+        of_patch = (boundary[on_edges] - vertices.start).astype(np.int32)
+        result.append(Patch(*axes, of_patch, gradients[on_edges], patches.triangles[triangles], patches.is_hole[triangles]))
+    return result

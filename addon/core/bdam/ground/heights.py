@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ...errors import FileError
+from ...errors import FarfieldError
 from ...files.segment_cache import DEFAULT_CACHE_BYTES, SegmentCache
 from ...geometry.triangle_search import TriangleSearch, evaluate_planes
 from ..store.patch_codec import Patch
@@ -19,6 +19,7 @@ from ..store.terrain_store import TerrainStore
 from ..view.extraction import Cut
 
 MAX_POINTS = 1 << 17  # points that are evaluated at once
+READ_PATCHES = 32  # are read at once
 NUDGE = 1e-6  # cells by which points on edges are moved to be inside of a triangle
 # Towards the inside of each of the eight triangles around a sample. All borders of patches and of leaf triangles are along or between
 # these.
@@ -80,11 +81,15 @@ class HeightQuery:
         order = order[levels[order] >= 0]
         is_start = np.diff(levels[order], prepend=-1).astype(bool) | np.diff(rows[order], prepend=-1).astype(bool)
         bounds = np.append(np.flatnonzero(is_start), len(order)).tolist()
-        for start, stop in pairwise(bounds):
-            members = order[start:stop]
-            patch = self._read(int(levels[members[0]]), int(rows[members[0]]))
-            if patch is not None:
-                corners[members], is_found[members] = patch.find(grid[members])
+        groups = [order[start:stop] for start, stop in pairwise(bounds)]
+        for first in range(0, len(groups), READ_PATCHES):
+            part = groups[first : first + READ_PATCHES]
+            patches = self._cache.get_all([(int(levels[members[0]]), int(rows[members[0]])) for members in part], self._prepare)
+            for members, patch in zip(part, patches, strict=True):
+                if not isinstance(patch, FarfieldError):
+                    corners[members], is_found[members] = patch.find(grid[members])
+                elif str(patch) not in self.damages:
+                    self.damages.append(str(patch))
         return corners, is_found
 
     def _locate(self, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -111,20 +116,15 @@ class HeightQuery:
             indices[levels >= 0] = -1  # found; no deeper patch has this index
         return levels, rows
 
-    def _read(self, level: int, row: int) -> "_LeafTriangles | _TinTriangles | None":
-        """Return the triangles of a patch, None if it is damaged."""
-        try:
-            return self._cache.get((level, row), lambda: self._prepare(level, row))
-        except FileError as error:
-            if str(error) not in self.damages:
-                self.damages.append(str(error))
-            return None
-
-    def _prepare(self, level: int, row: int) -> "_LeafTriangles | _TinTriangles":
-        patch, tree = self._store.read(level, row), self._store.tree
-        if level < tree.leaf_level:
-            return _TinTriangles(patch)
-        return _LeafTriangles.create(patch, tree.leaf_cells)
+    def _prepare(self, keys: list[tuple[int, int]]) -> "list[_LeafTriangles | _TinTriangles | FarfieldError]":
+        """Return the triangles of patches in levels and rows, errors for those that are damaged."""
+        cells, triangles = self._store.tree.leaf_cells, []
+        for (level, _), patch in zip(keys, self._store.read_all(keys), strict=True):
+            if isinstance(patch, FarfieldError):
+                triangles.append(patch)
+            else:
+                triangles.append(_TinTriangles(patch) if level < self._store.tree.leaf_level else _LeafTriangles.create(patch, cells))
+        return triangles
 
     def _evaluate(self, points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return heights (N,) and normals (N, 3) at points on the planes of triangles with `corners` (N, 3, 3) int64."""

@@ -10,58 +10,124 @@ spacecraft television data, 1971). A group of streams is coded as three parts, e
 """
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
+from ...arrays import concatenate_ranges, to_starts
 from ...errors import FileError
 
 CHUNK = 64  # values
 KEY_BITS, ZEROS = 5, 31
+TOO_SHORT = "a block is shorter than its contents."
 MAX_KEY = 30
 CANDIDATES = (-2, -1, 0, 1)  # numbers k that are tried, relative to the logarithm of the mean
 
 
-def encode_integers(streams: Sequence[np.ndarray]) -> bytes:
-    """Encode streams (N,) of integers from 0 to 2**33."""
-    values = np.concatenate(streams).astype(np.int64)
-    starts, counts = _split([len(stream) for stream in streams])
-    keys = _choose_keys(values, starts, counts)
-    of_values = np.repeat(keys, counts)
-    is_coded = of_values != ZEROS
-    values, of_values = values[is_coded], of_values[is_coded]
-    quotients = np.zeros(int((values >> of_values).sum()) + len(values), np.uint8)
-    quotients[np.cumsum((values >> of_values) + 1) - 1] = 1
-    planes = [(values[of_values > bit] >> bit & 1).astype(np.uint8) for bit in range(int(of_values.max(initial=0)))]
-    key_bits = (keys[:, None] >> np.arange(KEY_BITS) & 1).astype(np.uint8)
-    parts = (key_bits.ravel(), quotients, np.concatenate([np.zeros(0, np.uint8), *planes]))
-    return b"".join(np.packbits(part, bitorder="little").tobytes() for part in parts)
+def encode_integers(streams: Sequence[np.ndarray], counts: np.ndarray) -> list[bytes]:
+    """Return the groups of blocks (P,).
 
-
-def decode_integers(content: bytes, start: int, counts: Sequence[int]) -> tuple[list[np.ndarray], int]:
-    """Return streams of `counts` integers, int64, from the position `start` in bytes, and the position after them.
-
-    Raises:
-        FileError: they are damaged.
+    Args:
+        streams: S arrays of integers from 0 to 2**33, those of all blocks, one after the other. counts: (P, S) their numbers.
     """
-    _, chunks = _split(counts)
-    bits = np.unpackbits(np.frombuffer(content, np.uint8, offset=start), bitorder="little")
-    keys = _read_bits(bits, 0, KEY_BITS * len(chunks)).reshape(-1, KEY_BITS) @ (1 << np.arange(KEY_BITS))
-    position = _align(KEY_BITS * len(chunks))
+    values = np.empty(int(counts.sum()), np.int64)
+    for stream, rows in zip(streams, _stream_rows(counts), strict=True):
+        values[rows] = stream
+    chunks = _split(counts.ravel())
+    keys = _choose_keys(values, np.cumsum(chunks) - chunks, chunks)
     of_values = np.repeat(keys, chunks)
     coded = np.flatnonzero(of_values != ZEROS)
-    of_values = of_values[coded]
-    ends = np.flatnonzero(bits[position:])[: len(coded)]
-    if len(ends) != len(coded):
-        raise FileError("a block is shorter than its contents.")
-    values = np.diff(ends, prepend=-1) - 1 << of_values
-    position = _align(position + (int(ends[-1]) + 1 if len(ends) else 0))
+    values, of_values = values[coded], of_values[coded]
+    of_blocks = np.searchsorted(coded, to_starts(counts.sum(axis=1)))  # where the coded values of each block begin
+    unary = (values >> of_values) + 1
+    # The first bit of each of the three parts of a block.
+    key_bits = KEY_BITS * (-(-counts // CHUNK)).sum(axis=1)
+    parts = np.stack([key_bits, *(np.diff(to_starts(bits)[of_blocks]) for bits in (unary, of_values))], axis=1)
+    starts = 8 * to_starts(-(-parts.ravel() // 8))
+    positions = starts[:-1].reshape(parts.shape).T.copy()
+    bits = np.zeros(int(starts[-1]), np.uint8)
+    bits[concatenate_ranges(positions[0], key_bits)] = (keys[:, None] >> np.arange(KEY_BITS) & 1).ravel()
+    sums = to_starts(unary)
+    bits[sums[1:] - 1 + np.repeat(positions[1] - sums[of_blocks[:-1]], np.diff(of_blocks))] = 1
+    members, place = np.arange(len(values)), positions[2]
     for bit in range(int(of_values.max(initial=0))):
-        members = np.flatnonzero(of_values > bit)
-        values[members] |= _read_bits(bits, position, len(members)).astype(np.int64) << bit
-        position += len(members)
-    result = np.zeros(sum(counts), np.int64)
-    result[coded] = values
-    return np.split(result, np.cumsum(counts)[:-1]), start + _align(position) // 8
+        members = members[of_values[members] > bit]
+        of_bit = np.diff(np.searchsorted(members, of_blocks))
+        bits[concatenate_ranges(place, of_bit)] = values[members] >> bit & 1
+        place += of_bit
+    content = np.packbits(bits, bitorder="little").tobytes()
+    return [content[start:end] for start, end in pairwise((starts[:: parts.shape[1]] // 8).tolist())]
+
+
+class RiceReader:
+    """Reads groups of streams from blocks that have as many streams, from all of them at once."""
+
+    def __init__(self, contents: Sequence[bytes], start: int) -> None:
+        """contents: blocks (P,). start: where the first group begins in each, in bytes."""
+        self._bits = np.unpackbits(np.frombuffer(b"".join(contents), np.uint8), bitorder="little")
+        self._ones = np.flatnonzero(self._bits)
+        ends = 8 * to_starts(np.array([len(content) for content in contents]))
+        self._starts, self._ends = ends[:-1], ends[1:]
+        self._positions = self._starts + 8 * start
+
+    def read(self, counts: np.ndarray) -> list[np.ndarray]:
+        """Return the streams of the next group of `counts` (P, S) integers, int64: S arrays of those of all blocks, one after the other.
+
+        Raises:
+            FileError: a block is damaged.
+        """
+        chunks, of_blocks = _split(counts.ravel()), counts.sum(axis=1)
+        keys = self._take(KEY_BITS * (-(-counts // CHUNK)).sum(axis=1)).reshape(-1, KEY_BITS) @ (1 << np.arange(KEY_BITS))
+        self._align()
+        of_values = np.repeat(keys, chunks)
+        coded = np.flatnonzero(of_values != ZEROS)
+        of_values = of_values[coded]
+        starts = np.searchsorted(coded, to_starts(of_blocks))
+        values = self._take_quotients(starts) << of_values
+        members = np.arange(len(coded))
+        for bit in range(int(of_values.max(initial=0))):
+            members = members[of_values[members] > bit]
+            values[members] |= self._take(np.diff(np.searchsorted(members, starts))).astype(np.int64) << bit
+        self._align()
+        result = np.zeros(int(of_blocks.sum()), np.int64)
+        result[coded] = values
+        return [result[rows] for rows in _stream_rows(counts)]
+
+    def find_bytes(self) -> list[int]:
+        """Return the positions in bytes after the last group, in each block."""
+        return ((self._positions - self._starts) // 8).tolist()
+
+    def _take(self, counts: np.ndarray) -> np.ndarray:
+        """Return the next `counts` (P,) bits of the blocks (N,) uint8. Raises FileError if there are fewer."""
+        positions = self._positions
+        self._advance(counts)
+        return self._bits[concatenate_ranges(positions, counts)]
+
+    def _take_quotients(self, starts: np.ndarray) -> np.ndarray:
+        """Return the next quotients of the blocks (N,) int64, those of a block from `starts` (P + 1,) on. Raises FileError."""
+        counts = np.diff(starts)
+        first = np.searchsorted(self._ones, self._positions)
+        if (first + counts > len(self._ones)).any():
+            raise FileError(TOO_SHORT)
+        ends = self._ones[concatenate_ranges(first, counts)]
+        quotients = np.diff(ends, prepend=0) - 1
+        filled = counts > 0
+        quotients[starts[:-1][filled]] = ends[starts[:-1][filled]] - self._positions[filled]
+        lengths = np.zeros(len(counts), np.int64)
+        lengths[filled] = ends[starts[1:][filled] - 1] + 1 - self._positions[filled]
+        self._advance(lengths)
+        self._align()
+        return quotients
+
+    def _advance(self, counts: np.ndarray) -> None:
+        """Move on by `counts` (P,) bits. Raises FileError if there are fewer."""
+        self._positions = self._positions + counts
+        if (self._positions > self._ends).any():
+            raise FileError(TOO_SHORT)
+
+    def _align(self) -> None:
+        """Move on to the next whole bytes."""
+        self._positions = -(-self._positions // 8) * 8
 
 
 def to_unsigned(values: np.ndarray) -> np.ndarray:
@@ -75,13 +141,18 @@ def to_signed(values: np.ndarray) -> np.ndarray:
     return values >> 1 ^ -(values & 1)
 
 
-def _split(counts: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return where the chunks (M,) of streams begin if the streams follow each other, and how many values they have, int64."""
-    sizes = [np.full(-(-count // CHUNK), CHUNK, np.int64) for count in counts]
-    for size, count in zip(sizes, counts, strict=True):
-        size[-1:] -= len(size) * CHUNK - count
-    lengths = np.concatenate(sizes)
-    return np.cumsum(lengths) - lengths, lengths
+def _stream_rows(counts: np.ndarray) -> list[np.ndarray]:
+    """Return where the values of S streams are if those of (P, S) counts follow each other by blocks, then by streams."""
+    starts = to_starts(counts.ravel())[:-1].reshape(counts.shape)
+    return [concatenate_ranges(first, count) for first, count in zip(starts.T, counts.T, strict=True)]
+
+
+def _split(counts: np.ndarray) -> np.ndarray:
+    """Return how many values the chunks (M,) of streams of `counts` (S,) values have, int64."""
+    chunks = -(-counts // CHUNK)
+    lengths = np.full(int(chunks.sum()), CHUNK, np.int64)
+    lengths[np.cumsum(chunks)[counts > 0] - 1] -= (chunks * CHUNK - counts)[counts > 0]
+    return lengths
 
 
 def _choose_keys(values: np.ndarray, starts: np.ndarray, counts: np.ndarray) -> np.ndarray:
@@ -94,15 +165,3 @@ def _choose_keys(values: np.ndarray, starts: np.ndarray, counts: np.ndarray) -> 
     bits = [np.add.reduceat(values >> np.repeat(candidate, counts), starts) + counts * candidate for candidate in keys]
     best = np.take_along_axis(keys, np.argmin(bits, axis=0)[None], axis=0)[0]
     return np.where(sums == 0, ZEROS, best)
-
-
-def _read_bits(bits: np.ndarray, start: int, count: int) -> np.ndarray:
-    """Return `count` bits (N,) uint8. Raises FileError if there are fewer."""
-    if start + count > len(bits):
-        raise FileError("a block is shorter than its contents.")
-    return bits[start : start + count]
-
-
-def _align(position: int) -> int:
-    """Return the position in bits of the next whole byte."""
-    return -(-position // 8) * 8

@@ -3,7 +3,7 @@
 Both files and those of the textures have backups, see `files.backups`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +16,8 @@ from ...files.blocks import BlockReader
 from ..textures.store import TextureStore
 from .curvature import curve_levels, find_drop, find_drop_gradients
 from .leaf_grids import leaf_grid
-from .patch_codec import Patch, decode_patch
+from .patch_codec import Patch
+from .patch_decoding import CodedPatch, decode_patches
 from .patch_links import PatchLimits, find_leaf_squares, find_limits, join_bounds, link_patches
 from .structure import STRUCTURE_FILE, find_structure, read_structure
 
@@ -97,11 +98,24 @@ class TerrainStore(AbstractContextManager):
         Raises:
             FileError: it is damaged. From then on, cuts avoid it.
         """
+        (patch,) = self.read_all([(level, row)])
+        if isinstance(patch, FileError):
+            raise patch
+        return patch
+
+    def read_all(self, places: Sequence[tuple[int, int]]) -> list[Patch | FileError]:
+        """Return the patches in levels and rows, in a fraction of the time that `read` takes for one after the other.
+
+        Those that are damaged are errors instead. From then on, cuts avoid them.
+        """
         try:
-            return self._decode(level, row)
+            patches: list[Patch | FileError] = list(self._decode(places))
         except FileError as error:
-            self._patch_damages[int(self.links.starts[level]) + row] = str(error)
-            raise
+            patches = [error] if len(places) == 1 else [patch for place in places for patch in self.read_all([place])]
+        for (level, row), patch in zip(places, patches, strict=True):
+            if isinstance(patch, FileError):
+                self._patch_damages[int(self.links.starts[level]) + row] = str(patch)
+        return patches
 
     @property
     def damage_count(self) -> int:
@@ -133,14 +147,19 @@ class TerrainStore(AbstractContextManager):
             self._limits = len(numbers), limits
         return limits
 
-    def _decode(self, level: int, row: int) -> Patch:
-        patches, index = self.levels[level], int(self.levels[level].indices[row])
-        content = self._geometry.read(int(self.links.starts[level]) + row, self.label(level, row))
-        corners = self.tree.corners_of(level, index)
-        leaf = leaf_grid(self.tree, corners) if level == self.tree.leaf_level else None
+    def _decode(self, places: Sequence[tuple[int, int]]) -> list[Patch]:
+        """Return the patches in levels and rows. Raises FileError, which names the patch if it is the only one."""
+        coded = []
+        for level, row in places:
+            content = self._geometry.read(int(self.links.starts[level]) + row, self.label(level, row))
+            corners = self.corners_of(level, row)
+            leaf = leaf_grid(self.tree, corners) if level == self.tree.leaf_level else None
+            coded.append(CodedPatch(content, corners, *self.levels[level].counts[row, :2].tolist(), leaf))
         try:
-            return decode_patch(content, corners, *(int(count) for count in patches.counts[row, :2]), leaf, self.header.gradient_step)
+            return decode_patches(coded, self.header.gradient_step)
         except FileError as error:
+            level, row = places[0]
+            index = int(self.levels[level].indices[row])
             raise FileError(f'Patch {level}/{index} of "{self.folder}" is damaged: {error}') from error
 
     def label(self, level: int, row: int) -> str:

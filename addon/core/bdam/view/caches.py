@@ -1,7 +1,7 @@
 """Patches and texture tiles that are kept in memory as long as there is room, and reading ahead what will be needed soon."""
 
 import struct
-from collections.abc import Hashable, Iterable
+from collections.abc import Hashable, Iterable, Sequence
 
 import numpy as np
 
@@ -9,6 +9,7 @@ from ...errors import FarfieldError
 from ...files.segment_cache import SegmentCache
 from ...imaging.coded_images import RAW_MAGIC, decode
 from ...jobs.progress import Progress, Steps
+from ..store.patch_codec import Patch
 from ..store.patch_outlines import triangulate_outline
 from ..store.terrain_store import TerrainStore
 from ..textures.grid import TILE_SIZE
@@ -19,6 +20,7 @@ from .cut_meshes import PatchMesh, build_outline_mesh, build_patch_mesh
 MAX_PATCH_BYTES = 48 << 20  # more than what a cut of a million triangles needs
 MAX_TEXTURE_BYTES = 32 << 20
 VERTEX_BYTES, TRIANGLE_BYTES = 48, 12  # size of a `PatchMesh` per vertex and per triangle, at most
+PREFETCH_ITEMS = 8  # are read at once between two steps
 TARGA_HEADER = struct.Struct("<BBBHHBHHHHBB")
 TARGA_TRUE_COLOR = 2
 
@@ -38,7 +40,14 @@ class PatchCache(SegmentCache):
         Raises:
             FileError: the patch is damaged.
         """
-        return self.get(key, lambda: self._build(*key))
+        (mesh,) = self.read_all([key])
+        if isinstance(mesh, FarfieldError):
+            raise mesh
+        return mesh
+
+    def read_all(self, keys: Sequence[PatchKey]) -> list[PatchMesh | FarfieldError]:
+        """Return the meshes of several patches; those of damaged ones are errors."""
+        return self.get_all(keys, self._create)
 
     def bound_bytes(self, key: PatchKey) -> int:
         """Return at least the bytes of a patch that has not been read."""
@@ -48,8 +57,11 @@ class PatchCache(SegmentCache):
             vertices, triangles = outline_triangles + 2, outline_triangles
         return VERTEX_BYTES * vertices + TRIANGLE_BYTES * triangles
 
-    def _build(self, level: int, row: int, is_outline: bool) -> PatchMesh:
-        patch = self._store.read(level, row)
+    def _create(self, keys: list[PatchKey]) -> list[PatchMesh | FarfieldError]:
+        patches = self._store.read_all([key[:2] for key in keys])
+        return [patch if isinstance(patch, FarfieldError) else self._build(patch, *key) for key, patch in zip(keys, patches, strict=True)]
+
+    def _build(self, patch: Patch, level: int, row: int, is_outline: bool) -> PatchMesh:
         outline = triangulate_outline(patch, self._store.corners_of(level, row)) if is_outline else None
         return build_patch_mesh(self._store, patch) if outline is None else build_outline_mesh(self._store, patch, outline)
 
@@ -68,6 +80,16 @@ class TextureFiles(SegmentCache):
             FileError, ImageError: it is damaged.
         """
         return self.get(key, lambda: to_image_files(self._textures.read_coded(key)))
+
+    def read_all(self, keys: Sequence[int]) -> list[CodedTile | FarfieldError]:
+        """Return the image files of several texture tiles; those of damaged ones are errors."""
+        tiles: list[CodedTile | FarfieldError] = []
+        for key in keys:
+            try:
+                tiles.append(self.read(key))
+            except FarfieldError as error:
+                tiles.append(error)
+        return tiles
 
     def bound_bytes(self, key: int) -> int:
         """Return at least the bytes of a tile that has not been read."""
@@ -108,17 +130,28 @@ class Prefetch:
 
     def read(self, keys: Iterable[Hashable]) -> Steps[None]:
         """Read items until there is no more room. Damaged ones are left out; they are reported when they are shown."""
+        unread, needed = [], 0
         for key in keys:
             if key in self._counted:
                 continue
-            if self._cache.touch(key) is None:
-                if self._cache.bound_bytes(key) > self._room:
-                    return
+            if self._cache.touch(key) is not None:
+                self._count(key)
+                continue
+            needed += self._cache.bound_bytes(key)
+            if needed > self._room:
+                break
+            unread.append(key)
+            if len(unread) == PREFETCH_ITEMS:
                 yield Progress(0.0, "Reading ahead")
-                try:
-                    self._cache.read(key)
-                except FarfieldError:
-                    continue
+                self._read(unread)
+                unread, needed = [], 0
+        if unread:
+            yield Progress(0.0, "Reading ahead")
+            self._read(unread)
+
+    def _read(self, keys: list[Hashable]) -> None:
+        self._cache.read_all(keys)
+        for key in keys:
             self._count(key)
 
     def _count(self, key: Hashable) -> None:

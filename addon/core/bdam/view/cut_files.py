@@ -1,7 +1,6 @@
 """Cuts as meshes in full precision, for files, with their textures."""
 
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -163,10 +162,10 @@ def _list_parts(
 
 def _read_patches(cache: PatchCache, cut: Cut) -> Steps[dict[tuple[int, int], PatchMesh]]:
     """Return the patches of a cut that can be read, by level and row."""
-    meshes = {}
-    for index, key in enumerate(cut.list_patches()):
-        if index % PROGRESS_PATCHES == 0:
-            yield Progress(index / len(cut), "Reading patches")
-        with suppress(FileError):  # the store keeps the sentence
-            meshes[key[:2]] = cache.read(key)
+    meshes, keys = {}, cut.list_patches()
+    for start in range(0, len(keys), PROGRESS_PATCHES):
+        yield Progress(start / len(keys), "Reading patches")
+        part = keys[start : start + PROGRESS_PATCHES]
+        found = zip(part, cache.read_all(part), strict=True)
+        meshes |= {key[:2]: mesh for key, mesh in found if not isinstance(mesh, FileError)}  # the store keeps the sentence
     return meshes

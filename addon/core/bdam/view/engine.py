@@ -27,6 +27,7 @@ CULLING_MARGIN = 0.15  # fraction of the image
 # A triangle budget chooses from a series of tolerances, up to the errors of a mountain at `MIN_DEPTH`.
 STEPS_PER_OCTAVE, MAX_OCTAVES = 8, 44
 MIN_TEXTURE_TILES = 4
+READ_PATCHES = 48  # are decoded together, which takes less time than one after the other
 PREFETCH_SECONDS, PREFETCH_CUTS = 0.5, 4  # how far and how often it is predicted what a moving viewer needs
 
 
@@ -145,8 +146,11 @@ class BdamEngine:
             tiles = self._grouping.group(cut, texture_cut.numbers)
             changed = [key for key, tile in tiles.items() if shown.get(key) != tile.signature]
             warnings = {key: sentences for key, sentences in warnings.items() if key in tiles}
+            ready = 0
             for index, key in enumerate(changed):
                 yield Progress(index / len(changed), "Reading patches")
+                if index == ready:
+                    ready += self._read_patches([tiles[key] for key in changed[index:]])
                 block, warnings[key] = self._build_block(key, tiles[key])
                 self.finished_blocks.put((key, block))
             shown = shown | {key: tiles[key].signature for key in changed}
@@ -267,6 +271,13 @@ class BdamEngine:
 
     def _budget_tolerance(self, settings: CutSettings, step: int) -> float:
         return settings.tolerance * 2.0 ** (step / STEPS_PER_OCTAVE)
+
+    def _read_patches(self, tiles: list[Tile]) -> int:
+        """Read the patches of the first ones of some tiles into the cache, READ_PATCHES or somewhat more, and return how many tiles."""
+        counts = np.cumsum([len(tile.levels) for tile in tiles])
+        tile_count = min(int(np.searchsorted(counts, READ_PATCHES)) + 1, len(tiles))
+        self._cache.read_all([patch for tile in tiles[:tile_count] for patch in tile.list_patches()])
+        return tile_count
 
     def _build_block(self, key: TileKey, tile: Tile) -> tuple[TileBlock, tuple[str, ...]]:
         """Return a tile, and sentences about its damaged parts."""

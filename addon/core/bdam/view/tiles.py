@@ -5,15 +5,17 @@ when some patches change.
 """
 
 import heapq
+from bisect import bisect_left
 from dataclasses import dataclass
 
 import numpy as np
 
+from ...arrays import to_starts
 from ...errors import FileError
 from ..store.terrain_store import TerrainStore
 from ..textures.grid import BORDER, STEP, TILE_SIZE
 from ..textures.tile_index import morton_keys
-from .caches import PatchCache
+from .caches import PatchCache, PatchKey
 from .cut_meshes import merge_patches, remove_unused
 from .extraction import Cut
 
@@ -46,6 +48,10 @@ class Tile:
     def signature(self) -> tuple[bytes, bytes, bytes, int | None]:
         """What is different if the tile must be filled again."""
         return self.levels.tobytes(), self.rows.tobytes(), self.is_outline.tobytes(), self.texture
+
+    def list_patches(self) -> list[PatchKey]:
+        """Return the level and row of each patch, and whether its outline is shown."""
+        return list(zip(self.levels.tolist(), self.rows.tolist(), self.is_outline.tolist(), strict=True))
 
 
 @dataclass(frozen=True)
@@ -90,25 +96,26 @@ class TileGrouping:
         counts = cut.count_triangles(self._store)
         codes = morton_keys(squares)
         order = np.lexsort((cut.rows, cut.levels, codes))
-        codes, sums = codes[order], np.concatenate([[0], np.cumsum(counts[order])])
-        heap: list[tuple[float, TileKey, slice, TileKey]] = []
+        ordered, sums = codes[order].tolist(), to_starts(counts[order]).tolist()
+        heap: list[tuple[float, TileKey, int, slice, TileKey]] = []
 
-        def add(key: TileKey, source: TileKey) -> None:
-            part = _find_range(codes, key, depth)
+        def add(key: TileKey, code: int, source: TileKey) -> None:
+            ends = (bisect_left(ordered, number << 2 * (depth - key[0])) for number in (code, code + 1))
+            part = slice(*ends)
             if part.stop > part.start:
                 weight = float(sums[part.stop] - sums[part.start]) * (KEPT_SPLIT if key in self._split else 1.0)
-                heapq.heappush(heap, (-weight, key, part, source))
+                heapq.heappush(heap, (-weight, key, code, part, source))
 
-        for key in textures:
-            add(key, key)
+        for key, code in zip(textures, morton_keys(np.array([key[1:] for key in textures])).tolist(), strict=True):
+            add(key, code, key)
         split, final = set(), []
         while heap:
-            weight, key, part, source = heapq.heappop(heap)
+            weight, key, code, part, source = heapq.heappop(heap)
             is_large = -weight > MAX_TILE_TRIANGLES and key[0] < depth and part.stop - part.start > 1
             if is_large and len(heap) + len(final) + 4 <= MAX_TILES:
                 split.add(key)
-                for child in _children(key):
-                    add(child, source)
+                for number, child in enumerate(_children(key)):
+                    add(child, 4 * code + number, source)
             else:
                 final.append((key, part, source))
         self._split = split
@@ -118,24 +125,21 @@ class TileGrouping:
 
 def build_tile_mesh(store: TerrainStore, cache: PatchCache, key: TileKey, tile: Tile, exaggeration: float) -> TileMesh:
     """Return the mesh of a tile, without patches that are damaged."""
-    patches, levels, damages = [], [], []
-    for level, row, is_outline in zip(tile.levels.tolist(), tile.rows.tolist(), tile.is_outline.tolist(), strict=True):
-        try:
-            patches.append(cache.read((level, row, is_outline)))
-            levels.append(level)
-        except FileError as error:
-            damages.append(str(error))
+    meshes = cache.read_all(tile.list_patches())
+    is_intact = np.array([not isinstance(mesh, FileError) for mesh in meshes])
+    damages = tuple(str(mesh) for mesh in meshes if isinstance(mesh, FileError))
+    patches, levels = [mesh for mesh in meshes if not isinstance(mesh, FileError)], tile.levels[is_intact]
     location = locate_tile(store, key)
     if not patches:
         no_vertices, no_triangles = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32)
-        return TileMesh(location, no_vertices, no_vertices, no_triangles, None, np.zeros(0, np.int8), np.zeros(0, np.int64), tuple(damages))
-    mesh = remove_unused(merge_patches(patches, np.array(levels)))
+        return TileMesh(location, no_vertices, no_vertices, no_triangles, None, np.zeros(0, np.int8), np.zeros(0, np.int64), damages)
+    mesh = remove_unused(merge_patches(patches, levels))
     step = _lattice_step(store) * LATTICE
     vertices = np.rint(mesh.positions * [1.0, 1.0, exaggeration] / step) * step - location
     normals = mesh.normals * np.array([1.0, 1.0, 1.0 / exaggeration], np.float32)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     uvs = None if tile.texture is None else texture_uvs(store, mesh.ids, tile.square)
-    return TileMesh(location, vertices.astype(np.float32), normals, mesh.triangles, uvs, mesh.levels, mesh.ids, tuple(damages))
+    return TileMesh(location, vertices.astype(np.float32), normals, mesh.triangles, uvs, mesh.levels, mesh.ids, damages)
 
 
 def locate_tile(store: TerrainStore, key: TileKey) -> np.ndarray:
@@ -162,13 +166,6 @@ def texture_uvs(store: TerrainStore, ids: np.ndarray, square: TileKey) -> np.nda
 
 
 def _children(key: TileKey) -> list[TileKey]:
+    """Return the four squares that a square is divided into, in the order of `morton_keys`."""
     level, i, j = key
     return [(level + 1, 2 * i + x, 2 * j + y) for y in (0, 1) for x in (0, 1)]
-
-
-def _find_range(codes: np.ndarray, key: TileKey, depth: int) -> slice:
-    """Return where the ascending `codes` (N,) of squares of the finest level lie within a square."""
-    level, i, j = key
-    first = int(morton_keys(np.array([[i, j]]))[0]) << 2 * (depth - level)
-    start, stop = np.searchsorted(codes, [first, first + (1 << 2 * (depth - level))])
-    return slice(int(start), int(stop))

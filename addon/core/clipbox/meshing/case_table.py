@@ -24,16 +24,18 @@ HIGH = LOW + (1 << PAIR_AXIS)  # (12,)
 DIRECTIONS = np.array([[sign if axis == along else 0 for axis in range(AXES)] for along in range(AXES) for sign in (-1, 1)])  # (6, 3)
 
 
+@cache
 def pair_index(axis: int, low: int) -> int:
     """Return the index of the pair along `axis` with the lower octant `low`."""
     return int(np.flatnonzero((axis == PAIR_AXIS) & (low == LOW))[0])
 
 
-def edge_octants(direction: int) -> list[int]:
+@cache
+def edge_octants(direction: int) -> tuple[int, ...]:
     """Return the four octants around the lattice edge in one of the six directions, in cyclic order."""
     axis, high = divmod(direction, 2)
     first, second = (1 << other for other in range(AXES) if other != axis)
-    return [(high << axis) + offset for offset in (0, first, first + second, second)]
+    return tuple((high << axis) + offset for offset in (0, first, first + second, second))
 
 
 def _pair_between(octant: int, other: int) -> int:
@@ -47,7 +49,7 @@ def _find_cycles(case: int, flipped: int = -1) -> tuple[np.ndarray, int]:
     all in one cycle, -1 if there is none.
     """
     solid = [bool(case >> octant & 1) for octant in range(8)]
-    labels = [pair if solid[LOW[pair]] != solid[HIGH[pair]] else -1 for pair in range(12)]
+    labels = [pair if solid[low] != solid[high] else -1 for pair, (low, high) in enumerate(zip(LOW.tolist(), HIGH.tolist(), strict=True))]
     ambiguous = []
     for direction in range(6):
         octants = edge_octants(direction)

@@ -68,14 +68,13 @@ class Sampler:
         try:
             values = np.asarray(self.function(grid))
             values = self.edits.apply(grid, np.broadcast_to(values, grid.shape))
-            clipped = np.clip(np.nan_to_num(values, nan=-1.0, posinf=MAX_DENSITY, neginf=-MAX_DENSITY), -MAX_DENSITY, MAX_DENSITY)
+            clipped = np.clip(values, -MAX_DENSITY, MAX_DENSITY)
+            clipped[np.isnan(clipped)] = -1.0
         except FUNCTION_ERRORS as error:
             position = ", ".join(f"{index * grid.voxel_size:g}" for index in grid.origin)
             raise GeometryError(f'The terrain "{self.name}" failed at {position}: {error}.') from error
         half = clipped.astype(np.float16)
-        underflow = (half == 0) & (clipped > 0)
-        if underflow.any():
-            half[underflow] = MIN_POSITIVE_DENSITY
+        half[(clipped > 0.0) & (clipped < MIN_POSITIVE_DENSITY)] = MIN_POSITIVE_DENSITY
         return half
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...arrays import gather
 from .hashing import hash_lattice
 
 SKEW, UNSKEW = 0.5 * (np.sqrt(3.0) - 1.0), (3.0 - np.sqrt(3.0)) / 6.0
@@ -101,11 +102,13 @@ def simplex_noise(x: np.ndarray, y: np.ndarray, seed: int) -> Heights:
     x0, y0 = (x - (column - unskew)).astype(np.float32), (y - (row - unskew)).astype(np.float32)
     column, row = column.astype(np.int64), row.astype(np.int64)
     right = (x0 > y0).astype(np.int64)
+    bits, first, stride = _hash_around(column, row, range(2), seed)
+    tables = [table[bits & np.uint32(255)] for table in GRADIENTS]
     height, gradient_x, gradient_y = (np.zeros(x0.shape, np.float32) for _ in range(3))
     for corner, (step_x, step_y) in enumerate(((0, 0), (right, 1 - right), (1, 1))):
         dx, dy = (start - np.float32(step) + np.float32(corner * UNSKEW) for start, step in ((x0, step_x), (y0, step_y)))
-        index = hash_lattice(column + step_x, row + step_y, np.int64(0), seed) & np.uint32(255)
-        corner_x, corner_y = (table[index] for table in GRADIENTS)
+        index = first + (step_x * stride + step_y)
+        corner_x, corner_y = (gather(table, index) for table in tables)
         reach = np.maximum(np.float32(0.5) - dx * dx - dy * dy, np.float32(0.0))
         cube = reach * reach * reach
         along = corner_x * dx + corner_y * dy
@@ -159,13 +162,14 @@ def _waves_across_gradient(ground: Heights, x: np.ndarray, y: np.ndarray, seed: 
     column, row = np.floor(x), np.floor(y)
     x0, y0 = (x - column).astype(np.float32), (y - row).astype(np.float32)
     column, row = column.astype(np.int64), row.astype(np.int64)
+    bits, first, stride = _hash_around(column, row, range(-1, 2), seed)
+    jitters = [half.astype(np.float32) * np.float32(JITTER / 65536.0) for half in (bits & np.uint32(0xFFFF), bits >> np.uint32(16))]
     cosine, sine, total = (np.zeros(x0.shape, np.float32) for _ in range(3))
     for step_x in (-1, 0, 1):
         for step_y in (-1, 0, 1):
-            bits = hash_lattice(column + step_x, row + step_y, np.int64(0), seed)
-            jitter_x, jitter_y = (bits & np.uint32(0xFFFF)).astype(np.float32), (bits >> np.uint32(16)).astype(np.float32)
-            dx = x0 - np.float32(step_x + 0.5 * (1.0 - JITTER)) - jitter_x * np.float32(JITTER / 65536.0)
-            dy = y0 - np.float32(step_y + 0.5 * (1.0 - JITTER)) - jitter_y * np.float32(JITTER / 65536.0)
+            jitter_x, jitter_y = (gather(jitter, first + (step_x * stride + step_y)) for jitter in jitters)
+            dx = x0 - np.float32(step_x + 0.5 * (1.0 - JITTER)) - jitter_x
+            dy = y0 - np.float32(step_y + 0.5 * (1.0 - JITTER)) - jitter_y
             reach = np.maximum(np.float32(1.0) - (dx * dx + dy * dy) * np.float32(KERNEL_RADIUS**-2), np.float32(0.0))
             weight = reach * reach * reach
             phase = np.float32(2.0 * np.pi) * (dx * across_x + dy * across_y)
@@ -176,3 +180,25 @@ def _waves_across_gradient(ground: Heights, x: np.ndarray, y: np.ndarray, seed: 
     gain = np.minimum(total, np.float32(MAX_GAIN) * length) / (total * length)
     crest = np.float32(-2.0 * np.pi) * sine * gain
     return Heights(cosine * gain, crest * across_x, crest * across_y)
+
+
+def _hash_around(column: np.ndarray, row: np.ndarray, steps: range, seed: int) -> tuple[np.ndarray, np.ndarray, int]:
+    """Hash the lattice points around samples (X, Y), each one once where samples are close to each other.
+
+    Args:
+        column, row: (X, Y) int64, the lattice points of the samples. steps: from these to others.
+
+    Returns:
+        Hashes (H,) uint32, the indices (X, Y) intp of the points of the samples in them, and a stride: the hash of the point that is `i`
+        columns and `j` rows farther is `i` strides plus `j` farther.
+    """
+    first_column, first_row = int(column.min()) + steps[0], int(row.min()) + steps[0]
+    columns, stride = int(column.max()) + steps[-1] + 1 - first_column, int(row.max()) + steps[-1] + 1 - first_row
+    if columns * stride <= len(steps) ** 2 * column.size:
+        points = np.arange(first_column, first_column + columns)[:, None], np.arange(first_row, first_row + stride)
+        first = (column - first_column) * stride + (row - first_row)
+    else:  # samples are far from each other: each one has its own points
+        stride, own = len(steps), np.arange(len(steps)) + steps[0]
+        points = column.ravel()[:, None, None] + own[:, None], row.ravel()[:, None, None] + own
+        first = np.arange(column.size).reshape(column.shape) * stride**2 - steps[0] * (stride + 1)
+    return hash_lattice(*points, np.int64(0), seed).ravel(), first, stride

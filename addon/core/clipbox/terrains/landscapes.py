@@ -237,15 +237,20 @@ def build_landscape(source: ClipboxSettings, carve: Carving | None) -> DensityFu
         heights = ground(x, y, grid.voxel_size, shape).add(bumps, BUMP_HEIGHT)
         steepness = heights.steepness
         across = np.float32(1.0) / np.sqrt(1.0 + steepness * steepness)
-        density = (((heights.height - base)[:, :, None] - z) * across[:, :, None]).astype(np.float32)
+        density = np.empty(grid.shape, np.float32)
+        for layer, line, factor in zip(density, heights.height - base, across, strict=True):  # layers stay in the CPU cache
+            np.multiply(line[:, None] - z[0], factor[:, None], out=layer, casting="same_kind")
         rock = np.clip((steepness - np.float32(ROCK_STEEPNESS)) / np.float32(ROCK_BLEND), 0.0, 1.0)
         if rock.any():
             ledges = fbm(grid, LEDGE_WAVELENGTH, LEDGE_OCTAVES, shape.seed + LEDGES, squash=1.5)
             rock *= np.minimum(np.float32(LEDGE_DEPTH), np.float32(LEDGE_DEPTH * MAX_STEEPNESS) / np.maximum(steepness, np.float32(1.0)))
-            ledges *= np.where(ledges > 0.0, np.float32(OVERHANG), np.float32(1.0))
-            density += ledges * rock[:, :, None]
+            for layer, ledge, factor in zip(density, ledges, rock, strict=True):
+                np.multiply(ledge, np.float32(OVERHANG), out=ledge, where=ledge > 0.0)
+                ledge *= factor[:, None]
+                layer += ledge
         if carve is not None:
             density = carve(grid, density, shape)
-        return density * np.float32(scale)
+        density *= np.float32(scale)
+        return density
 
     return densities

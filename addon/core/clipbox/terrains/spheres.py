@@ -16,7 +16,7 @@ from .hashing import hash_lattice, uniform_random
 SURFACE_MARGIN = 1.01  # voxels outside a sphere that still receive a distance: those next to its surface
 MIN_DIAMETER = 1.0  # voxels; smaller spheres are left out
 MAX_DISTANCE = 1e4  # distance to the surface, in scene units, where no sphere is near
-MAX_BATCHED_WIDTH = 12  # voxels; spheres with windows of at most this width are applied in batches
+MAX_BATCHED_WIDTH = 20  # voxels; spheres with windows of at most this width are applied in batches
 MAX_CHUNK_VOXELS = 1 << 15  # voxels of all windows of a batch, which stay in the CPU cache
 
 
