@@ -22,6 +22,7 @@ from PIL import Image
 
 from farfield.addon.core.clipbox.settings import ClipboxSettings
 from farfield.addon.core.presets import list_presets, read_preset
+from farfield.addon.core.sky import SkySettings
 
 PRESETS = FOLDER.parent / "addon" / "presets" / "clipbox"
 PIXELS, SAMPLES, QUALITY = 192, 24, 82
@@ -51,11 +52,12 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=sorted(VIEWS), default=sorted(VIEWS), help="names of presets")
     for path in list_presets(PRESETS):
         if path.stem in parser.parse_args().only:
-            settings = ClipboxSettings(**read_preset(path, [ClipboxSettings]).values)
+            preset = read_preset(path, [ClipboxSettings, SkySettings])
             position, target = (np.array(point) for point in VIEWS[path.stem])
             with tempfile.TemporaryDirectory() as folder:
                 rendered = Path(folder) / "view.png"
-                terrain_views.square_view(rendered, PIXELS, SAMPLES, settings, position, target)
+                settings, light = preset.build(ClipboxSettings), preset.build(SkySettings)
+                terrain_views.square_view(rendered, PIXELS, SAMPLES, settings, position, target, light)
                 Image.open(rendered).convert("RGB").save(path.with_suffix(".webp"), quality=QUALITY, method=6)
 
 

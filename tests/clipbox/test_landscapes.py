@@ -10,6 +10,7 @@ from farfield.addon.core.clipbox.terrains.caverns import CARVINGS, carve
 from farfield.addon.core.clipbox.terrains.generators import build_sampler
 from farfield.addon.core.clipbox.terrains.grids import Grid
 from farfield.addon.core.clipbox.terrains.height_noise import Gullies, Heights, carve_gullies, resolve, simplex_noise, sum_octaves
+from farfield.addon.core.clipbox.terrains.landscape_parts import Shape
 from farfield.addon.core.clipbox.terrains.landscapes import LANDSCAPES, build_landscape, find_base, read_shape
 
 STEP = 1e-3
@@ -97,6 +98,14 @@ class TestLandscapes:
         (x, y), shape = positions(4, 8.0, (28.0, -36.0)), read_shape(source)
         surface = 8.0 * (densities.sum(axis=2) - 250)
         assert np.abs(surface - LANDSCAPES[name](x, y, 8.0, shape).height + find_base(name, shape)).max() < 12.0
+
+    def test_gradients_without_gullies_are_derivatives(self, name):
+        shape, (x, y), step = Shape(0, 1.0, 0.0), positions(80, 13.0, (-1200.0, -1700.0)), 0.05
+        heights, ground = LANDSCAPES[name](x, y, 1.0, shape), LANDSCAPES[name]
+        along_x = (ground(x + step, y, 1.0, shape).height - ground(x - step, y, 1.0, shape).height) / (2.0 * step)
+        along_y = (ground(x, y + step, 1.0, shape).height - ground(x, y - step, 1.0, shape).height) / (2.0 * step)
+        errors = np.hypot(along_x - heights.gradient_x, along_y - heights.gradient_y)
+        assert np.quantile(errors, 0.95) < 0.02 * heights.steepness.mean()
 
     def test_ruggedness_raises_mountains(self, name):
         x, y = positions(40, 200.0)
