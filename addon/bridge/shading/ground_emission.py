@@ -16,17 +16,17 @@ INPUTS = (
     ("Plates", "Float"), ("Meter", "Float"),
 )  # fmt: skip
 DEFAULTS = {
-    "Color": (1.0, 0.09, 0.008, 1.0),
-    "Hot Color": (1.0, 0.42, 0.07, 1.0),
-    "Strength": 7.0,  # emission of the hottest lava
+    "Color": (1.0, 0.08, 0.004, 1.0),
+    "Hot Color": (1.0, 0.32, 0.03, 1.0),
+    "Strength": 4.0,  # emission of the hottest lava
     "Height": 0.0,  # z below which there is lava
-    "Plates": 7.0,  # mean size of plates of crust, meters
+    "Plates": 11.0,  # mean size of plates of crust, meters
     "Meter": 1.0,
 }
 SIZES = 1.0, 0.31  # Of plates, relative to Plates.
-CRACKS = 0.012, 0.13  # Widths of cracks where lava is cool and hot, relative to the plates.
-HEAT_WAVELENGTH, WARP_WAVELENGTH, WARP = 9.0, 0.8, 0.3  # Relative to Plates.
-MOLTEN = 0.22, 0.12  # Heat at which there is no crust, and half the width of the transition.
+CRACKS = 0.006, 0.07  # Widths of cracks where lava is cool and hot, relative to the plates.
+HEAT_WAVELENGTH, WARP_WAVELENGTH, WARP = 6.0, 0.7, 0.45  # Relative to Plates.
+CRACKED, MOLTEN = (0.02, 0.12), (0.27, 0.06)  # Heat at which crust cracks, and at which there is none; half the widths of transitions.
 SHORE = 0.5  # Meters.
 LEVEL = 0.9, 0.06  # z of the normal of ground that is level enough for lava, and half the width of the transition.
 
@@ -57,12 +57,13 @@ def _fill_group(builder: NodeBuilder) -> None:
     inputs = builder.node("NodeGroupInput").outputs
     plates = builder.math("MULTIPLY", inputs["Plates"], inputs["Meter"])
     scaled = builder.vector("SCALE", inputs["Position"], builder.math("DIVIDE", 1.0, plates))
-    heat = add_noise(builder, scaled, 1.0 / HEAT_WAVELENGTH, 2.0)
+    heat = add_noise(builder, scaled, 1.0 / HEAT_WAVELENGTH, 4.0)
     shift = builder.node("ShaderNodeTexNoise")
     shift.inputs["Scale"].default_value, shift.inputs["Detail"].default_value = 1.0 / WARP_WAVELENGTH, 1.0
     builder.connect(scaled, shift.inputs["Vector"])
     warped = builder.vector("ADD", scaled, builder.vector("SCALE", shift.outputs["Color"], WARP))
-    width = between(builder, ramp(builder, heat, 0.0, 0.25), *CRACKS)
+    is_cracked = ramp(builder, heat, *CRACKED)
+    width = between(builder, is_cracked, *CRACKS)
     distance = builder.node("ShaderNodeCameraData").outputs["View Distance"]
     pixel = builder.math("DIVIDE", builder.math("MULTIPLY", distance, PIXEL), plates)
     molten = ramp(builder, heat, *MOLTEN)
@@ -74,7 +75,7 @@ def _fill_group(builder: NodeBuilder) -> None:
         seen = builder.math("MAXIMUM", width, builder.math("DIVIDE", pixel, size))
         crack = builder.math("SUBTRACT", 1.0, builder.math("DIVIDE", cells.outputs["Distance"], seen), True)
         crack = builder.math("MULTIPLY", crack, builder.math("MULTIPLY", builder.math("DIVIDE", width, seen), size**0.5))
-        molten = builder.math("MAXIMUM", molten, crack)
+        molten = builder.math("MAXIMUM", molten, builder.math("MULTIPLY", crack, is_cracked))
     z = builder.math("ADD", builder.separate(inputs["Position"])[2], builder.math("MULTIPLY", heat, inputs["Meter"]))
     above = ramp(builder, z, inputs["Height"], builder.math("MULTIPLY", inputs["Meter"], SHORE))
     normal_z = builder.separate(builder.vector_transform(inputs["Normal"], "NORMAL", "WORLD", "OBJECT"))[2]

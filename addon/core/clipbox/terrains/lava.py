@@ -16,10 +16,10 @@ JITTER = 0.5  # Of their places, relative to a cell.
 CRATERS, FLOOR = (0.17, 0.27), 0.4  # Radii of craters, relative to that of the foot, and of their floors, relative to that.
 PROFILE = 2.0  # Exponent of their flanks, which are steeper towards the crater.
 OUTLINE_WAVELENGTH, OUTLINE = 420.0, 0.12  # How far noise moves craters and feet, relative to their radii.
-PLAIN_WAVELENGTH, PLAIN, PLAIN_HEIGHT = 1_700.0, 17.0, 14.0  # How high the plain is above lava, and how much that varies.
+PLAIN_WAVELENGTH, PLAIN, PLAIN_HEIGHT = 1_700.0, 20.0, 9.0  # How high the plain is above lava, and how much that varies.
 FLOWS = (640.0, 11.0), (270.0, 7.0), (110.0, 4.0)  # Wavelengths and heights of flows.
-CRUST_WAVELENGTH, CRUST_HEIGHT, MEAN_CRUST = 18.0, 3.6, 0.25  # Of rough crust. Ridges of noise are as far below their top on average.
-RIVER_WIDTH = 0.075  # In noise.
+CRUST_WAVELENGTH, CRUST_HEIGHT, MEAN_CRUST = 18.0, 2.8, 0.25  # Of rough crust. Ridges of noise are as far below their top on average.
+RIVER_WIDTH = 0.1  # In noise.
 SHORE = 2.0  # Rounds off the shores of lava.
 CONE_FOOT = 18.0  # Height of volcanoes that rivers flow around.
 
@@ -33,7 +33,7 @@ def lava(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
         plain = plain.add(rise(sum_octaves(x, y, spacing, wavelength, 3, seed + 4 * number, 0.4), 0.12, 0.07), height)
     cones, molten = find_volcanoes(x, y, spacing, shape)
     ground = plain.add(cones).scale(shape.ruggedness)
-    ground = carve_gullies(ground, x, y, spacing, Gullies(240.0, 6, 0.075 * shape.erosion, 0.8, 0.3), shape.seed + GULLIES)
+    ground = carve_gullies(ground, x, y, spacing, Gullies(240.0, 6, 0.08 * shape.erosion, 0.8, 0.5), shape.seed + GULLIES)
     ground = ground.add(_find_crust(x, y, spacing, seed + 12), CRUST_HEIGHT * shape.ruggedness)
     rivers = warp(lambda x, y: sum_octaves(x, y, spacing, 2_300.0, 3, seed + 20, 0.35), x, y, spacing, 600.0, 70.0, shape.seed + WARPS)
     rivers = cut(rivers, RIVER_WIDTH).multiply(_invert(rise(cones, CONE_FOOT, 0.5 * CONE_FOOT)))
