@@ -7,7 +7,7 @@ import numpy as np
 
 from .hashing import hash_lattice, uniform_random
 from .height_noise import Gullies, Heights, carve_gullies, resolve, sum_octaves
-from .landscape_parts import GULLIES, MORE, WARPS, Shape, cut, rise, warp
+from .landscape_parts import GULLIES, MORE, WARPS, Shape, rise, warp
 
 VOLCANOES = 400  # Added to the seed.
 CELL, FRACTION = 2_000.0, 0.75  # Side of the square cells in which volcanoes lie, and how many of them have one.
@@ -18,8 +18,8 @@ PROFILE = 2.0  # Exponent of their flanks, which are steeper towards the crater.
 OUTLINE_WAVELENGTH, OUTLINE = 420.0, 0.12  # How far noise moves craters and feet, relative to their radii.
 PLAIN_WAVELENGTH, PLAIN, PLAIN_HEIGHT = 1_700.0, 20.0, 9.0  # How high the plain is above lava, and how much that varies.
 FLOWS = (640.0, 11.0), (270.0, 7.0), (110.0, 4.0)  # Wavelengths and heights of flows.
-CRUST_WAVELENGTH, CRUST_HEIGHT, MEAN_CRUST = 18.0, 2.8, 0.25  # Of rough crust. Ridges of noise are as far below their top on average.
-RIVER_WIDTH = 0.1  # In noise.
+CRUST_WAVELENGTH, CRUST_HEIGHT, MEAN_CRUST = 22.0, 2.2, 0.25  # Of rough crust. Ridges of noise are as far below their top on average.
+RIVER_WIDTH, RIVER_DEPTH = 0.13, 6.0  # In noise, and below 0, before lava fills them.
 SHORE = 2.0  # Rounds off the shores of lava.
 CONE_FOOT = 18.0  # Height of volcanoes that rivers flow around.
 
@@ -33,11 +33,13 @@ def lava(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
         plain = plain.add(rise(sum_octaves(x, y, spacing, wavelength, 3, seed + 4 * number, 0.4), 0.12, 0.07), height)
     cones, molten = find_volcanoes(x, y, spacing, shape)
     ground = plain.add(cones).scale(shape.ruggedness)
-    ground = carve_gullies(ground, x, y, spacing, Gullies(240.0, 6, 0.08 * shape.erosion, 0.8, 0.5), shape.seed + GULLIES)
+    ground = carve_gullies(ground, x, y, spacing, Gullies(240.0, 5, 0.08 * shape.erosion, 0.68, 0.5), shape.seed + GULLIES)
     ground = ground.add(_find_crust(x, y, spacing, seed + 12), CRUST_HEIGHT * shape.ruggedness)
     rivers = warp(lambda x, y: sum_octaves(x, y, spacing, 2_300.0, 3, seed + 20, 0.35), x, y, spacing, 600.0, 70.0, shape.seed + WARPS)
-    rivers = cut(rivers, RIVER_WIDTH).multiply(_invert(rise(cones, CONE_FOOT, 0.5 * CONE_FOOT)))
-    ground = ground.multiply(_invert(molten)).multiply(_invert(rivers))
+    valley = np.exp(-((rivers.height / np.float32(RIVER_WIDTH)) ** 2))
+    rivers = rivers.map(valley, np.float32(-2.0 / RIVER_WIDTH**2) * rivers.height * valley)
+    rivers = rivers.multiply(_invert(rise(cones, CONE_FOOT, 0.5 * CONE_FOOT)))
+    ground = ground.multiply(_invert(molten)).multiply(_invert(rivers)).add(rivers, -RIVER_DEPTH)
     root = np.sqrt(ground.height * ground.height + np.float32(SHORE**2))  # Lava fills what is below 0.
     return ground.map(0.5 * (ground.height + root - np.float32(SHORE)), 0.5 + 0.5 * ground.height / root)
 
@@ -77,7 +79,7 @@ def find_volcanoes(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -
 
 def _find_crust(x: np.ndarray, y: np.ndarray, spacing: float, seed: int) -> Heights:
     """Return ridges of broken crust, in places, with a mean of 0."""
-    noise = sum_octaves(x, y, spacing, CRUST_WAVELENGTH, 3, seed)
+    noise = sum_octaves(x, y, spacing, CRUST_WAVELENGTH, 3, seed, 0.42)
     ridges = noise.map(np.float32(MEAN_CRUST * resolve(CRUST_WAVELENGTH, spacing)) - np.abs(noise.height), -np.sign(noise.height))
     return ridges.multiply(rise(sum_octaves(x, y, spacing, 310.0, 2, seed + 4), 0.12, 0.1))
 
