@@ -6,7 +6,7 @@ from scipy.ndimage import label
 
 from farfield.addon.core.clipbox.settings import ClipboxSettings
 from farfield.addon.core.clipbox.terrains import landscapes
-from farfield.addon.core.clipbox.terrains.caverns import CARVINGS, carve
+from farfield.addon.core.clipbox.terrains.caverns import CARVINGS, add_dripstone, carve
 from farfield.addon.core.clipbox.terrains.generators import build_sampler
 from farfield.addon.core.clipbox.terrains.grids import Grid
 from farfield.addon.core.clipbox.terrains.height_noise import Gullies, Heights, carve_gullies, resolve, simplex_noise, sum_octaves
@@ -123,6 +123,20 @@ def test_caves_arches_and_roots_are_no_heights(name):
     assert (below_rock & ~solid).any(axis=2).mean() > 0.02
 
 
+def test_dripstone_grows_in_halls_under_thick_roofs_and_as_voxels_resolve_it():
+    side = np.full((120, 120), 6.0)
+    counts = []
+    for roof, voxel_size in ((1.0, 1.0), (0.0, 1.0), (1.0, 4.0)):
+        grid = Grid((0, 0, -20), (120, 120, 40), voxel_size)
+        _, _, z = grid.coordinates()
+        walls = np.broadcast_to(np.abs(z) - 6.0, grid.shape).astype(np.float32)
+        hall = walls < 0
+        add_dripstone(walls, grid, 0.0 * side, side, roof + 0.0 * side, 3)
+        counts.append(float((walls > 0)[hall].mean()))
+        assert (walls >= 0)[~hall].all()
+    assert 0.005 < counts[0] < 0.2 and counts[1:] == [0.0, 0.0]
+
+
 def test_rock_between_a_cave_and_the_air_is_thicker_than_a_voxel_or_open():
     depth = np.linspace(-1.0, 20.0, 200).astype(np.float32)  # Into a cliff, behind which there is a cave.
     for thickness in (0.5, 1.0, 1.5, 4.0, 8.0):
@@ -132,7 +146,15 @@ def test_rock_between_a_cave_and_the_air_is_thicker_than_a_voxel_or_open():
 
 @pytest.mark.parametrize(
     ("name", "x", "y"),
-    [("mesas", -400, 700), ("mesas", 1200, 700), ("arches", 0, -900), ("karst", -800, 100), ("karst", 0, -900), ("alien", 400, -300)],
+    [
+        ("mesas", -400, 700),
+        ("mesas", 1200, 700),
+        ("arches", 0, -900),
+        ("karst", -800, 100),
+        ("karst", 0, -900),
+        ("alien", 400, -300),
+        ("lava", -760, -1100),
+    ],
 )
 def test_nothing_floats_above_the_ground(name, x, y):
     solid = build_sampler(ClipboxSettings(terrain=name)).densities(Grid((x, y, -80), (80, 80, 250), 1.0)) > 0

@@ -29,11 +29,12 @@ def lava(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
     seed = shape.seed + MORE
     plain = sum_octaves(x, y, spacing, PLAIN_WAVELENGTH, 4, shape.seed, 0.45).scale(PLAIN)
     plain = plain.map(plain.height + np.float32(PLAIN_HEIGHT), np.float32(1.0))
-    for number, (wavelength, height) in enumerate(FLOWS):
-        plain = plain.add(rise(sum_octaves(x, y, spacing, wavelength, 3, seed + 4 * number, 0.4), 0.12, 0.07), height)
     cones, molten = find_volcanoes(x, y, spacing, shape)
     ground = plain.add(cones).scale(shape.ruggedness)
     ground = carve_gullies(ground, x, y, spacing, Gullies(240.0, 5, 0.08 * shape.erosion, 0.68, 0.5), shape.seed + GULLIES)
+    for number, (wavelength, height) in enumerate(FLOWS):  # They have no gullies, which are deeper than flows are high.
+        flow = rise(sum_octaves(x, y, spacing, wavelength, 3, seed + 4 * number, 0.4), 0.12, 0.07)
+        ground = ground.add(flow, height * shape.ruggedness)
     ground = ground.add(_find_crust(x, y, spacing, seed + 12), CRUST_HEIGHT * shape.ruggedness)
     rivers = warp(lambda x, y: sum_octaves(x, y, spacing, 2_300.0, 3, seed + 20, 0.35), x, y, spacing, 600.0, 70.0, shape.seed + WARPS)
     valley = np.exp(-((rivers.height / np.float32(RIVER_WIDTH)) ** 2))
