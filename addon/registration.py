@@ -10,6 +10,7 @@ from .operators.btf import exports as btf_exports
 from .operators.btf import operators as btf_operators
 from .operators.clipbox import convert_to_mesh as clipbox_convert
 from .operators.clipbox import edits as clipbox_edits
+from .operators.clipbox import ground as clipbox_ground
 from .operators.clipbox import live_update as clipbox_live_update
 from .operators.clipbox import operators as clipbox_operators
 from .operators.distance import operators as distance_operators
@@ -76,6 +77,7 @@ MODULES = (
     clipbox_operators,
     clipbox_convert,
     clipbox_edits,
+    clipbox_ground,
     clipbox_live_update,
     bdam_operators,
     bdam_ground,

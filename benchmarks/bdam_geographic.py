@@ -12,10 +12,10 @@ from bdam_stores import Workplace, build_cut_mesh, build_from
 
 from farfield.addon.core.bdam.fields.terrain_field import FieldSettings, open_field
 from farfield.addon.core.bdam.ground.heights import HeightQuery
-from farfield.addon.core.bdam.ground.surfaces import MeshSurface, find_ground
 from farfield.addon.core.bdam.store.terrain_store import TerrainStore
 from farfield.addon.core.bdam.view.caches import PatchCache
 from farfield.addon.core.bdam.view.extraction import extract_uniform_cut
+from farfield.addon.core.geometry.surfaces import MeshSurface, find_ground
 from farfield.addon.core.jobs.progress import run_to_end
 
 FILE = "N46E008.tif"

@@ -2,8 +2,8 @@
 
 Prints JSON: for each view the kind of place, the camera, the rays that see a face from behind, as through a crack, and the seconds of
 its render. Kinds are taken in turn: near the ground, a valley, a summit, a cave, the air. The folder gets the renders, in Cycles, which
-are there to be looked at. `--elevation-model FOLDER` adds views of a store of Large Terrain with the same material. Each run draws other
-cameras; --seed repeats one.
+are there to be looked at, and with `--scenes` the scenes, for other engines. `--elevation-model FOLDER` adds views of a store of Large
+Terrain with the same material. Each run draws other cameras; --seed repeats one.
 """
 
 import copy
@@ -215,8 +215,13 @@ def rays_of(direction: np.ndarray, counts: tuple[int, int]) -> np.ndarray:
     return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 
-def render(path: Path, view: View, width: int, samples: int, light: SkySettings, prepare_ground: Callable[[SkySettings], None]) -> float:
-    """Render a view with the Sun at its side. prepare_ground: adds what depends on the camera and on the sky. Returns seconds."""
+def render(
+    path: Path, view: View, width: int, samples: int, save: bool, light: SkySettings, prepare_ground: Callable[[SkySettings], None]
+) -> float:
+    """Render a view with the Sun at its side, and save its scene next to the picture if `save` is set. Returns seconds.
+
+    prepare_ground: adds what depends on the camera and on the sky.
+    """
     scene = bpy.context.scene
     camera = scene.camera or add_camera()
     camera.matrix_world = look_at_matrix(-view.direction, view.position)
@@ -233,6 +238,8 @@ def render(path: Path, view: View, width: int, samples: int, light: SkySettings,
     scene.view_settings.view_transform = "AgX"
     started = time.perf_counter()
     bpy.ops.render.render(write_still=True)
+    if save:
+        bpy.ops.wm.save_as_mainfile(filepath=str(path.with_suffix(".blend")), compress=True)
     return time.perf_counter() - started
 
 
@@ -255,7 +262,7 @@ def show_views(name: str, choose: Callable[[str, np.random.Generator], Any], lig
 
             given.images.mkdir(parents=True, exist_ok=True)
             path = given.images / f"{name} {index + 1:02} {view.kind}.png"
-            figure["seconds"] = round(render(path, view, given.width, given.samples, light, prepare_ground), 1)
+            figure["seconds"] = round(render(path, view, given.width, given.samples, given.scenes, light, prepare_ground), 1)
         figures.append(figure)
         print(f"{name}: {json.dumps(figure)}", file=sys.stderr, flush=True)
     return figures
@@ -271,6 +278,7 @@ def main(arguments: list[str], _line: command_line.ProgressLine) -> str:
     parser.add_argument("--elevation-model", type=Path, help="a store of Large Terrain to show as well")
     parser.add_argument("--count", type=int, default=12, help="cameras of each preset")
     parser.add_argument("--images", type=Path, help="folder for the renders; without it, only rays are cast")
+    parser.add_argument("--scenes", action="store_true", help="save the scene of each render next to it")
     parser.add_argument("--width", type=int, default=1280, help="pixels of the renders")
     parser.add_argument("--samples", type=int, default=24, help="samples per pixel")
     parser.add_argument("--resolution", type=int, default=128, help="voxels along each side of every box")

@@ -15,10 +15,13 @@ from ..compat import enable_nodes
 from ..core.geometry.directions import from_spherical
 from ..core.sky import LIGHT_VALUES, Light, SkySettings
 from .shading.node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
+from .sky_clouds import CLOUD_INPUTS, ensure_cloud_group
 
 WORLD_NAME, SUN_NAME, HAZE_GROUP, HAZE_VERSION = "Farfield Sky", "Farfield Sun", "Farfield Haze", 1
 SHARED_SURFACE = "Farfield Terrain Ground"  # The group from color to surface of textured terrain.
 SKY_STRENGTH = 0.1  # From the radiance of Blender's sky to the strength of its Sun lights.
+SKY_MAP_RESOLUTION = 256  # Pixels of the map by which Cycles samples the light of the sky.
+CLOUD_ALBEDO = 0.7  # Fraction of sunlight that clouds scatter.
 HORIZON = 0.04  # Lowest z of the directions in which the sky is read.
 HAZE_HEIGHT = 0.12  # Height by which the density of air falls to 37 %, relative to the size of the terrain.
 HAZE_VALUES = "Distance", "Height", "Base Height"
@@ -38,13 +41,15 @@ def add_sky(scene: bpy.types.Scene, settings: SkySettings) -> bpy.types.Object:
         scene.world = bpy.data.worlds.new(WORLD_NAME)
     world = scene.world
     enable_nodes(world)
+    if hasattr(world, "cycles"):  # Nothing in this sky is as small as the disk of the Sun, which would take a large map of its light.
+        world.cycles.sampling_method, world.cycles.sample_map_resolution = "MANUAL", SKY_MAP_RESOLUTION
     world.node_tree.nodes.clear()
     builder = NodeBuilder(world.node_tree)
     background = builder.node("ShaderNodeBackground")
     sky = _add_sky_texture(builder, light, settings.sun_direction)
     direction = builder.node("ShaderNodeTexCoord").outputs["Generated"]
     builder.connect(_above_horizon(builder, *builder.separate(direction)), sky.inputs["Vector"])
-    builder.connect(sky.outputs["Color"], background.inputs["Color"])
+    builder.connect(_add_clouds(builder, settings, sky.outputs["Color"], direction), background.inputs["Color"])
     background.inputs["Strength"].default_value = SKY_STRENGTH * light.sky
     builder.connect(background.outputs[0], builder.node("ShaderNodeOutputWorld").inputs["Surface"])
     builder.arrange()
@@ -131,6 +136,22 @@ def _add_sky_texture(builder: NodeBuilder, light: Light, azimuth: float) -> bpy.
     dust = "aerosol_density" if hasattr(sky, "aerosol_density") else "dust_density"
     setattr(sky, dust, light.dust)
     return sky
+
+
+def _add_clouds(
+    builder: NodeBuilder, settings: SkySettings, sky: bpy.types.NodeSocket, direction: bpy.types.NodeSocket
+) -> bpy.types.NodeSocket:
+    """Return the color of a sky with the clouds of the settings."""
+    if not settings.clouds:
+        return sky
+    light = LIGHT_VALUES[settings.light]
+    clouds = builder.node("ShaderNodeGroup", {"node_tree": ensure_cloud_group(), "width": 160.0})
+    radiance = light.color * light.strength * CLOUD_ALBEDO / (math.pi * SKY_STRENGTH * light.sky)
+    toward_sun = math.sin(settings.sun_direction), math.cos(settings.sun_direction)
+    values = sky, (*radiance, 1.0), direction, settings.clouds, *toward_sun
+    for (name, _), value in zip(CLOUD_INPUTS, values, strict=True):
+        builder.connect(value, clouds.inputs[name])
+    return clouds.outputs["Sky"]
 
 
 def _ensure_haze_group(settings: SkySettings) -> bpy.types.NodeTree:

@@ -26,6 +26,7 @@ class SkySettings(Settings):
     sun_direction: float = setting(
         math.radians(235.0), "Where the Sun is, clockwise from the Y axis", minimum=0.0, maximum=2.0 * math.pi, unit=Unit.ANGLE
     )
+    clouds: float = setting(0.35, "How much of the sky clouds cover", minimum=0.0, maximum=1.0, unit=Unit.FRACTION)
     haze: float = setting(
         0.3, "How much of the light of the farthest ground the air replaces by its own", minimum=0.0, maximum=0.99, unit=Unit.FRACTION
     )

@@ -3,12 +3,13 @@
 import bpy
 
 from ..bridge.clipbox.objects import SceneTerrain
-from ..core.clipbox.settings import EDITS, TERRAIN, ClipboxSettings, ConvertSettings
+from ..core.clipbox.settings import EDITS, TERRAIN, ClipboxSettings, ConvertSettings, GroundSettings
 from ..core.settings import describe
 from ..operators import long_work
 from ..operators.clipbox import live_update
 from ..operators.clipbox.convert_to_mesh import FARFIELD_OT_clipbox_convert_to_mesh
 from ..operators.clipbox.edits import MODES, FARFIELD_OT_clipbox_edit
+from ..operators.clipbox.ground import FARFIELD_OT_clipbox_drop
 from ..operators.clipbox.operators import FARFIELD_OT_clipbox_create
 from .sidebar import SettingsPanel, TerrainPanel, draw_message, sub_panels
 
@@ -50,6 +51,17 @@ class ClipboxSettingsPanel(SettingsPanel):
         super().draw(context)
 
 
+class FARFIELD_PT_clipbox_ground(SettingsPanel, bpy.types.Panel):
+    """Put objects on the ground."""
+
+    bl_idname = "FARFIELD_PT_clipbox_ground"
+    bl_label = "Drop to Ground"
+    bl_parent_id = PANEL
+    bl_options = {"DEFAULT_CLOSED"}
+    settings, property_name = describe(GroundSettings), "farfield_clipbox_ground"
+    buttons = ((FARFIELD_OT_clipbox_drop, "Drop", "TRIA_DOWN_BAR"),)
+
+
 class FARFIELD_PT_clipbox_convert(SettingsPanel, bpy.types.Panel):
     """Conversion of the active terrain to meshes."""
 
@@ -66,5 +78,10 @@ class FARFIELD_PT_clipbox_convert(SettingsPanel, bpy.types.Panel):
         return long_work.current_run() is None and SceneTerrain.of_object(context.active_object) is not None
 
 
-CLASSES = (FARFIELD_PT_clipbox, *sub_panels(ClipboxSettingsPanel, PANEL, open_groups=(TERRAIN,)), FARFIELD_PT_clipbox_convert)
+CLASSES = (
+    FARFIELD_PT_clipbox,
+    *sub_panels(ClipboxSettingsPanel, PANEL, open_groups=(TERRAIN,)),
+    FARFIELD_PT_clipbox_ground,
+    FARFIELD_PT_clipbox_convert,
+)
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -25,6 +25,7 @@ OF_OBJECTS = (
     Entry("unwrap", "UV"),
     Entry("scatter_add", "OUTLINER_OB_POINTCLOUD"),
     Entry("scatter_remove", "X"),
+    Entry("clipbox_drop", "TRIA_DOWN_BAR"),
     Entry("bdam_drop", "TRIA_DOWN_BAR"),
     Entry("bdam_freeze", "FREEZE"),
     Entry("clipbox_convert_to_mesh", "MESH_DATA"),

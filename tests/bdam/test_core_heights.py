@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 
 from farfield.addon.core.bdam.building.terrain_build import build_terrain
 from farfield.addon.core.bdam.ground.heights import HeightQuery
-from farfield.addon.core.bdam.ground.triangle_search import TriangleSearch
 from farfield.addon.core.bdam.settings import BdamSettings
 from farfield.addon.core.bdam.store.terrain_store import GEOMETRY_FILE, TerrainStore
 from farfield.addon.core.bdam.view.cut_meshes import CutMesh
 from farfield.addon.core.bdam.view.extraction import extract_uniform_cut
 from farfield.addon.core.geometry.placements import GeographicFrame
+from farfield.addon.core.geometry.triangle_search import TriangleSearch
 from farfield.addon.core.jobs.progress import run_to_end
 from small_terrain_stores import ArrayField, build_cut_mesh, build_store, hills
 

@@ -13,9 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from farfield.addon.core.bdam.ground import triangle_search
 from farfield.addon.core.bdam.ground.heights import HeightQuery
-from farfield.addon.core.bdam.ground.triangle_search import TriangleSearch
 from farfield.addon.core.bdam.settings import ViewSettings
 from farfield.addon.core.bdam.store import structure
 from farfield.addon.core.bdam.store.terrain_store import GEOMETRY_FILE, TEXTURE_FOLDER, TerrainStore
@@ -28,6 +26,8 @@ from farfield.addon.core.bdam.view.extraction import CutSettings
 from farfield.addon.core.errors import FileError
 from farfield.addon.core.files.backups import copy_to_backup
 from farfield.addon.core.files.blocks import BlockReader, BlockWriter
+from farfield.addon.core.geometry import triangle_search
+from farfield.addon.core.geometry.triangle_search import TriangleSearch
 from farfield.addon.core.geometry.viewers import Projection, Viewer, look_at
 from farfield.addon.core.imaging.coded_images import encode
 from farfield.addon.core.jobs.progress import run_to_end

@@ -8,9 +8,9 @@ import mathutils
 import numpy as np
 import pytest
 
-from farfield.addon.bridge.bdam.ground import find_base
 from farfield.addon.bridge.bdam.objects import STORE_KEY, SceneTerrain
 from farfield.addon.bridge.geometry.mesh_arrays import read_positions
+from farfield.addon.bridge.placing import find_base
 from farfield.addon.core.bdam.ground.heights import HeightQuery
 from farfield.addon.core.bdam.store.terrain_store import GEOMETRY_FILE, GEOMETRY_KIND, TerrainStore
 from farfield.addon.core.files.blocks import HEADER_SIZE, BlockReader
@@ -276,7 +276,7 @@ def test_it_can_be_undone(terrain):
 def test_bad_input_is_explained(folder, tmp_path):
     item = add_cube()
     select(item)
-    with pytest.raises(RuntimeError, match="Load a large terrain first"):
+    with pytest.raises(RuntimeError, match="Add a large terrain first"):
         bpy.ops.farfield.bdam_drop()
     copy = shutil.copytree(folder, tmp_path / "moved")
     terrain = load(copy)

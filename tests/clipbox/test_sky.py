@@ -85,6 +85,24 @@ def test_no_direction_of_the_world_is_black(tmp_path):
     assert render(scene, tmp_path) > 0.05
 
 
+def sky_seen(scene, folder, pitch, **settings):
+    """The mean of the sky in a small field of view above the horizon, scene-linear."""
+    sky.add_sky(scene, SkySettings(sun_direction=0.0, **settings))
+    scene.camera.rotation_euler = (0.5 * math.pi + pitch, 0.0, 0.0)
+    return render(scene, folder)
+
+
+def test_clouds_cover_the_sky_by_their_setting_and_end_in_the_haze_of_the_horizon(tmp_path):
+    scene, wall = hazy_wall(0.5 * SIZE, 0.4, 0.0)
+    bpy.data.objects.remove(wall)
+    scene.camera.data.angle = 1.5
+    means = [sky_seen(scene, tmp_path, 0.5 * math.pi, clouds=cover) for cover in (0.0, 0.2, 0.5)]
+    assert 1.1 * means[0] < means[1] and 1.1 * means[1] < means[2]  # Clouds are brighter than the blue of the zenith.
+    scene.camera.data.angle = 0.01
+    horizon = [sky_seen(scene, tmp_path, 0.01, clouds=cover) for cover in (0.0, 1.0)]
+    assert horizon[0] == pytest.approx(horizon[1], rel=1e-3)
+
+
 def test_haze_is_added_once():
     material, builder = create_node_material("Ground")
     builder.connect(builder.node("ShaderNodeBsdfPrincipled").outputs[0], builder.node("ShaderNodeOutputMaterial").inputs["Surface"])

@@ -15,7 +15,7 @@ from ...core.clipbox.engine import BlockKey, Update
 from ...core.clipbox.settings import ClipboxSettings
 from ...core.clipbox.to_mesh import ConvertedMesh
 from ...core.jobs.progress import Progress, Steps
-from ..geometry.mesh_arrays import write_triangles, write_uvs
+from ..geometry.mesh_arrays import read_loop_vertices, read_positions, write_triangles, write_uvs
 from ..geometry.mesh_pool import PendingMeshes, fill_mesh, mark_spare
 from ..terrain_roots import TerrainRoot, copy_material, link_collection, remove_terrain
 from .materials import create_water_material, set_water
@@ -109,6 +109,18 @@ class PendingBlocks:
     def fill(self, key: BlockKey, block: BlockMesh) -> None:
         """Fill a mesh with the surface of a block."""
         self.meshes.fill(key, block.vertices - self._origin, block.triangles, None if self._is_flat else block.normals)
+
+
+def read_blocks(terrain: SceneTerrain, points: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return vertices (V, 3) float64 and triangles (T, 3) int32 of the blocks above and below any of `points` (N, 3), terrain space."""
+    found = []
+    for block in terrain.blocks().values():
+        positions = read_positions(block.data).astype(np.float64) + terrain.origin
+        if len(positions):
+            low, high = positions[:, :2].min(axis=0), positions[:, :2].max(axis=0)
+            if ((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1).any():
+                found.append((positions, read_loop_vertices(block.data).reshape(-1, 3)))
+    return found
 
 
 def fill_meshes(update: Update, origin: np.ndarray, settings: ClipboxSettings) -> Steps[PendingMeshes]:

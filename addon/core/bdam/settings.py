@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 from functools import partial
 
-from ..settings import Choice, Settings, Unit, setting
+from ..placing import PlacingSettings
+from ..settings import Choice, Settings, setting
 
 PATCH_SIZES = {
     "16": Choice("16", "Patches of about 256 triangles, as in the paper: finer steps of detail, more patches"),
@@ -96,11 +97,6 @@ class ViewSettings(Settings):
     )
 
 
-TARGETS = {
-    "origins": Choice("Origins", "Put the origins of the selected objects on the ground"),
-    "bottoms": Choice("Bottoms", "Put the centers of the lower sides of bounding boxes on the ground"),
-    "points": Choice("Points", "Put all vertices of the selected meshes and all points of the selected point clouds on the ground"),
-}
 SURFACES = {
     "finest": Choice("Finest Data", "The ground as it is in the store, with all samples"),
     "shown": Choice("As Shown", "The triangles of the terrain in the scene, as coarse as they are now"),
@@ -108,17 +104,10 @@ SURFACES = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class GroundSettings(Settings):
-    """How *Drop to Ground* places objects."""
+class GroundSettings(PlacingSettings):
+    """How *Drop to Ground* places objects on a large terrain."""
 
-    has_flags = False
-
-    target: str = setting("origins", "What is put on the ground", choices=TARGETS)
     surface: str = setting("finest", "The ground that is used", choices=SURFACES)
-    align_to_normal: bool = setting(
-        False, "Rotate objects until their Z axes are perpendicular to the ground", used_if={"target": ("origins", "bottoms")}
-    )
-    offset: float = setting(0.0, "Height above the ground", minimum=-1e6, maximum=1e6, unit=Unit.LENGTH)
 
 
 @dataclass(frozen=True, kw_only=True)

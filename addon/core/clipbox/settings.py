@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from ..errors import SettingsError
+from ..placing import PlacingSettings
 from ..settings import Choice, Settings, Unit, setting
 
 TERRAIN, EDITS = "Terrain", "Edits"
@@ -181,3 +182,7 @@ class ConvertSettings(Settings):
         used_if={"collider": True},
     )
     keep_terrain: bool = setting(False, "Keep the terrain in addition to its meshes")
+
+
+class GroundSettings(PlacingSettings):
+    """How *Drop to Ground* places objects on a clip-box terrain."""

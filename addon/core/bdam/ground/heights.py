@@ -13,10 +13,10 @@ import numpy as np
 
 from ...errors import FileError
 from ...files.segment_cache import DEFAULT_CACHE_BYTES, SegmentCache
+from ...geometry.triangle_search import TriangleSearch, evaluate_planes
 from ..store.patch_codec import Patch
 from ..store.terrain_store import TerrainStore
 from ..view.extraction import Cut
-from .triangle_search import TriangleSearch
 
 MAX_POINTS = 1 << 17  # points that are evaluated at once
 NUDGE = 1e-6  # cells by which points on edges are moved to be inside of a triangle
@@ -129,16 +129,6 @@ class HeightQuery:
     def _evaluate(self, points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return heights (N,) and normals (N, 3) at points on the planes of triangles with `corners` (N, 3, 3) int64."""
         return evaluate_planes(points, self._store.to_local(*np.moveaxis(corners, -1, 0)))
-
-
-def evaluate_planes(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return heights (N,) and unit normals (N, 3) at `points` (N, 2) on the planes of triangles (N, 3, 3), counterclockwise from above.
-    Both are NaN where a triangle has no area."""
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    offsets = points - corners[:, 0, :2]
-    normals[normals[:, 2] <= 0.0] = np.nan
-    heights = corners[:, 0, 2] - (normals[:, :2] * offsets).sum(axis=1) / normals[:, 2]
-    return heights, normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ import bpy
 import mathutils
 import numpy as np
 
-from ...core.geometry.transforms import inverse_transform_points, is_invertible, transform_points
-from ..geometry.mesh_arrays import read_attribute
-from ..geometry.mesh_pool import is_local
-from .objects import SceneTerrain
+from ..core.geometry.transforms import inverse_transform_points, is_invertible, transform_points
+from .geometry.mesh_arrays import read_attribute
+from .geometry.mesh_pool import is_local
+from .terrain_roots import TerrainRoot
 
 POINT_TYPES = ("MESH", "POINTCLOUD")
 MAX_MISS = 1e-3  # by which an object may miss its position, relative to the distance that it is moved, before it counts as locked
@@ -29,7 +29,7 @@ class TerrainSpace:
     origin: np.ndarray
 
     @classmethod
-    def of(cls, terrain: SceneTerrain) -> "TerrainSpace":
+    def of(cls, terrain: TerrainRoot) -> "TerrainSpace":
         """Return the space of a terrain."""
         return cls(np.array(terrain.root.matrix_world, np.float64), terrain.origin)
 
@@ -40,7 +40,7 @@ class TerrainSpace:
 
     @property
     def height_scale(self) -> float:
-        """The length in world space of a height of one meter."""
+        """The length in world space of a height of one in the space of the terrain."""
         return float(np.linalg.norm(self.matrix[:3, 2]))
 
     def to_terrain(self, points: np.ndarray) -> np.ndarray:
@@ -57,9 +57,9 @@ class TerrainSpace:
         return turned / np.linalg.norm(turned, axis=1, keepdims=True)
 
 
-def selected_objects(context: bpy.types.Context, terrain: SceneTerrain) -> list[bpy.types.Object]:
+def selected_objects(context: bpy.types.Context, terrain: TerrainRoot) -> list[bpy.types.Object]:
     """Return the selected objects without the terrain itself, parents before children."""
-    excluded = {terrain.root, *terrain.tiles().values()}
+    excluded = {terrain.root, *terrain.shown_objects()}
     return sorted((item for item in context.selected_objects if item not in excluded), key=count_parents)
 
 

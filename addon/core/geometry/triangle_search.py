@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...arrays import concatenate_ranges
+from ..arrays import concatenate_ranges
 
 TOLERANCE = 1e-9  # Barycentric coordinates may be this negative: points on an edge are in both triangles in spite of rounding.
 TRIANGLES_PER_BUCKET = 2.0
@@ -49,25 +49,33 @@ class TriangleSearch:
 
         On a common edge it is the triangle that the point is deepest in.
         """
+        of_point, triangles, depths = self.find_all(points)
+        order = np.lexsort((-depths, of_point))
+        inside, first = np.unique(of_point[order], return_index=True)
+        found = np.full(len(points), -1, np.int64)
+        found[inside] = triangles[order][first]
+        return found
+
+    def find_all(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return all pairs of one of `points` (N, 2) float64 and a triangle that contains it: the indices of both, (P,) int64, and how
+        deep the point is in the triangle, its smallest barycentric coordinate, (P,) float64."""
         buckets = self._bucket_positions(points)
         buckets = buckets[:, 1] * self._count + buckets[:, 0]
         counts = self._starts[buckets + 1] - self._starts[buckets]
         parts = np.flatnonzero(np.diff(np.cumsum(counts) // MAX_CANDIDATES, prepend=0)) if counts.sum() > MAX_CANDIDATES else []
-        split = (np.split(array, parts) for array in (points, buckets, counts))
-        return np.concatenate([self._find_part(*part) for part in zip(*split, strict=True)])
+        split = (np.split(array, parts) for array in (np.arange(len(points)), buckets, counts))
+        found = [self._find_part(points, *part) for part in zip(*split, strict=True)]
+        return tuple(np.concatenate(arrays) for arrays in zip(*found, strict=True))
 
-    def _find_part(self, points: np.ndarray, buckets: np.ndarray, counts: np.ndarray) -> np.ndarray:
-        """Do `find` for points in `buckets` (N,) with `counts` (N,) of triangles. The memory needed grows with the sum of these."""
-        of_point = np.repeat(np.arange(len(points)), counts)
+    def _find_part(
+        self, points: np.ndarray, indices: np.ndarray, buckets: np.ndarray, counts: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Do `find_all` for the points at `indices` in `buckets` (N,) with `counts` (N,) of triangles, whose sum bounds the memory."""
+        of_point = np.repeat(indices, counts)
         candidates = self._members[concatenate_ranges(self._starts[buckets], counts)]
         depths = self._measure_depths(points[of_point], candidates)
         is_inside = depths >= -TOLERANCE
-        of_point, candidates, depths = of_point[is_inside], candidates[is_inside], depths[is_inside]
-        order = np.lexsort((-depths, of_point))
-        inside, first = np.unique(of_point[order], return_index=True)
-        found = np.full(len(points), -1, np.int64)
-        found[inside] = candidates[order][first]
-        return found
+        return of_point[is_inside], candidates[is_inside].astype(np.int64), depths[is_inside]
 
     def _bucket_positions(self, points: np.ndarray) -> np.ndarray:
         """Return columns and rows (N, 2) int64 of the buckets of points, of the nearest ones outside of the grid."""
@@ -82,3 +90,13 @@ class TriangleSearch:
             second, third = (x * vy - y * vx) / areas, (ux * y - uy * x) / areas
             depths = np.minimum(np.minimum(second, third), 1.0 - second - third)
         return np.where(areas > 0.0, depths, -np.inf)
+
+
+def evaluate_planes(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return heights (N,) and unit normals (N, 3) at `points` (N, 2) on the planes of triangles (N, 3, 3), counterclockwise from above.
+    Both are NaN where a triangle has no area."""
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    offsets = points - corners[:, 0, :2]
+    normals[normals[:, 2] <= 0.0] = np.nan
+    heights = corners[:, 0, 2] - (normals[:, :2] * offsets).sum(axis=1) / normals[:, 2]
+    return heights, normals / np.linalg.norm(normals, axis=1, keepdims=True)
