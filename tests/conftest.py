@@ -39,18 +39,20 @@ EXAMPLES_FRACTION, MIN_EXAMPLES = 0.25, 5
 
 
 @pytest.fixture(scope="session")
-def extension() -> Iterator:
+def extension(tmp_path_factory) -> Iterator:
     """The package `farfield`, registered in Blender once for the whole session. At the end it is unregistered, or Blender 4.5 hangs.
 
     Colors of clouds are fitted to fewer and smaller renders than usual, except in `test_luminance_fit`: 45 renders of a box would take
-    three quarters of the time of its build.
+    three quarters of the time of its build. The nodes of the ground are made once: they would take most of the time of a small terrain.
     """
     package = environment.import_farfield()
     pytest.importorskip("bpy")
     package.register()
     from farfield.addon.bridge.billboards import luminance_fit
+    from kept_ground import keep_ground_group
 
     with pytest.MonkeyPatch.context() as patch:
+        keep_ground_group(patch, tmp_path_factory.mktemp("ground"))
         patch.setattr(luminance_fit, "VIEW_COUNT", 8)
         patch.setattr(luminance_fit, "RESOLUTION", 32)
         yield package

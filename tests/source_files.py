@@ -3,7 +3,8 @@
 import ast
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections import defaultdict
+from collections.abc import Iterator
 from functools import cache, cached_property
 from pathlib import Path
 
@@ -13,6 +14,9 @@ ROOT = environment.ROOT
 ADDON = ROOT / "addon"
 CACHES = {".git", ".venv", ".hypothesis", ".pytest_cache", ".ruff_cache", "__pycache__"}
 OUTPUT_FOLDERS = {ROOT / "build", ROOT / "dist", ROOT / "out"}
+
+
+LEAVES = {ast.Constant, ast.Name, ast.alias}  # Half of all nodes: they contain no other nodes but the contexts of names.
 
 
 @cache
@@ -30,6 +34,8 @@ def walk(tree: ast.AST) -> list[ast.AST]:
     """All nodes of a tree but the contexts of names, breadth first; `ast.walk` takes much longer."""
     nodes = [tree]
     for node in nodes:
+        if type(node) in LEAVES:
+            continue
         for field in node._fields:
             value = getattr(node, field, None)
             if isinstance(value, list):
@@ -60,9 +66,9 @@ class SourceFile:
     @cached_property
     def nodes(self) -> dict[type[ast.AST], list[ast.AST]]:
         """All nodes, by their class."""
-        nodes: dict[type[ast.AST], list[ast.AST]] = {}
+        nodes: defaultdict[type[ast.AST], list[ast.AST]] = defaultdict(list)
         for node in walk(self.tree):
-            nodes.setdefault(type(node), []).append(node)
+            nodes[type(node)].append(node)
         return nodes
 
     def all(self, *types: type[ast.AST]) -> list[ast.AST]:
@@ -87,10 +93,11 @@ class SourceFile:
         names |= {node.module for node in self.all(ast.ImportFrom) if not node.level}
         return {name.split(".")[0] for name in names}
 
-    def matching_lines(self, is_wrong: Callable[[str], object]) -> Iterator[str]:
-        """Number and text of each wrong line."""
-        for number, line in enumerate(self.lines, 1):
-            if is_wrong(line):
+    def matching_lines(self, *wrong: re.Pattern) -> Iterator[str]:
+        """Number and text of each line that one of the patterns is in; most patterns are nowhere in the file, which is found out first."""
+        wrong = [pattern for pattern in wrong if pattern.search(self.text)]
+        for number, line in enumerate(self.lines if wrong else (), 1):
+            if any(pattern.search(line) for pattern in wrong):
                 yield f"{number}: {line.strip()[:100]}"
 
 

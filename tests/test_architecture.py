@@ -57,6 +57,7 @@ RETIRED_IN_IDENTIFIERS = set(
 RETIRED_IN_TEXT = re.compile(r"\b(afar|anew|aslant|besides?|lamps?|mended|polygonis\w+|storeys?|strewn|strew|upon)\b", re.IGNORECASE)
 REGISTRY_HOST = re.compile(r"\b(?:pypi|pythonhosted|anaconda|npmjs)\.(?:org|com)\b")
 MACHINE_PATH = re.compile(r"(?<![\w.~/])/(?:home|root|Users|tmp|work)/\w")
+VERSION_QUESTION = re.compile(r"app\.version")
 FRAGMENT = re.compile(r"(?:^|\s)#\s*of\b")  # a comment that begins with "of" is no sentence
 MIN_LISTED_FIELDS = 5
 
@@ -131,7 +132,7 @@ def files_classes_and_functions_have_docstrings(file: SourceFile) -> Iterator[st
 
 @addon_rule
 def only_compat_asks_for_the_version(file: SourceFile) -> Iterator[str]:
-    return file.matching_lines(lambda line: "app.version" in line and file.parts != ("compat",))
+    return file.matching_lines(VERSION_QUESTION) if file.parts != ("compat",) else iter(())
 
 
 @addon_rule
@@ -168,13 +169,13 @@ def identifiers_are_standard_terms(file: SourceFile) -> Iterator[str]:
 @rule
 def text_is_modern_english(file: SourceFile) -> Iterator[str]:
     if file.path.suffix in {".py", ".md", ".toml"} and file.path != Path(__file__):
-        return file.matching_lines(RETIRED_IN_TEXT.search)
+        return file.matching_lines(RETIRED_IN_TEXT)
     return iter(())
 
 
 @rule
 def comments_are_sentences(file: SourceFile) -> Iterator[str]:
-    return file.matching_lines(FRAGMENT.search) if file.is_python else iter(())
+    return file.matching_lines(FRAGMENT) if file.is_python else iter(())
 
 
 @addon_rule
@@ -190,7 +191,7 @@ def classes_list_their_fields(file: SourceFile) -> Iterator[str]:
 
 @rule
 def no_text_names_a_registry_or_a_place_on_one_machine(file: SourceFile) -> Iterator[str]:
-    return file.matching_lines(lambda line: REGISTRY_HOST.search(line) or MACHINE_PATH.search(line))
+    return file.matching_lines(REGISTRY_HOST, MACHINE_PATH)
 
 
 @pytest.mark.parametrize("name", RULES)

@@ -37,6 +37,7 @@ def test_the_table_lists_every_registered_operator_and_a_button_for_each(extensi
     assert update_tables(PAGE) == PAGE
 
 
+@pytest.mark.slow
 def test_operators(empty_scene, capsys):
     cloud = run("operators")["cloud"]
     assert [level["farfield_level"] for level in cloud.objects] == [0, 1]

@@ -87,7 +87,7 @@ def test_no_visible_sample_moves_farther_than_the_tolerance(store):
     finest, _ = HeightQuery(store).find(points)
     bounds = store.levels[0].low.min(axis=0).astype(float), store.levels[0].high.max(axis=0).astype(float)
     largest = []
-    for _ in range(12):
+    for _ in range(6):
         viewer, tolerance = viewer_at(random, bounds), 10.0 ** random.uniform(-0.3, 1.0)
         cut = extract_cut(store, viewer, CutSettings(tolerance))
         shown, _ = HeightQuery(store, cut).find(points)

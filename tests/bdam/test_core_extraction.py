@@ -156,6 +156,7 @@ def test_uniform_cuts_are_consistent_and_within_their_error(store):
     assert len(cut) == 2
 
 
+@pytest.mark.slow
 def test_a_cliff_needs_few_triangles(tmp_path):
     """Errors of coarse patches do not reach its height, although its samples are far from any triangle that leaves its edge."""
     size, cliff = 257, 400.0

@@ -77,7 +77,7 @@ def test_normals_of_a_grid_of_degrees_are_those_in_meters(tmp_path):
     assert np.array_equal(source.read(slice(9, 12), slice(20, 30)), source.read(slice(3, 30), slice(0, columns))[6:9, 20:30])
 
 
-@pytest.mark.parametrize(("pixels", "color_levels"), [(256, 1), (2400, 5)])
+@pytest.mark.parametrize(("pixels", "color_levels"), [(256, 1), pytest.param(2400, 5, marks=pytest.mark.slow)])
 def test_a_square_shows_the_part_of_each_map_that_covers_it(tmp_path, pixels, color_levels):
     """A coarse image and finer normal maps, and the other way round, meet in one quadtree."""
     folder = add_texture(build(tmp_path / "store", hills(33, 600)), colors(pixels)[: pixels // 18])
@@ -102,6 +102,7 @@ def open_light_table():
     """Yield a scene with a camera above and a Sun, and remove it."""
     with render_scene("Normal Maps") as work:
         prepare_cycles(work.scene, 4, 1)
+        work.scene.render.use_persistent_data = False  # The images of one terrain are removed before those of the next one are loaded.
         work.scene.render.resolution_x, work.scene.render.resolution_y = 64, 48
         work.camera.data.type, work.camera.data.ortho_scale, work.camera.data.clip_end = "ORTHO", 600.0, 1e4
         work.camera.location.z = 1000.0
@@ -139,7 +140,7 @@ def render(work, folder, tolerance, shading="height", has_maps=True, curvature=F
 
 
 @pytest.mark.usefixtures("empty_scene")
-@pytest.mark.parametrize("kind", ["plain", "image"])
+@pytest.mark.parametrize("kind", ["plain", pytest.param("image", marks=pytest.mark.slow)])
 def test_coarse_triangles_are_shaded_like_the_finest_ones(tmp_path, kind):
     y, x = np.mgrid[0:129, 0:129]
     folder = build(tmp_path / "store", 10.0 * np.sin(x / 2.5) * np.sin(y / 3.5))

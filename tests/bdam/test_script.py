@@ -230,6 +230,7 @@ def test_invalid_input_is_named_and_nothing_is_written(folder, monkeypatch, argu
     assert sorted(path.name for path in folder.iterdir()) == before
 
 
+@pytest.mark.slow
 def test_both_ways_of_calling_and_exit_codes(folder):
     assert "undamaged" in run("verify", folder / "store")
     command = [sys.executable, str(SCRIPT), "verify", str(folder)]

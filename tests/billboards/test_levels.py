@@ -72,6 +72,7 @@ def build(mesh: TriangleMesh, **settings) -> Cloud:
     return run_to_end(build_cloud(mesh, BillboardSettings(**({"solid_parts": "quads"} | settings)), "Shape"))
 
 
+@pytest.mark.slow
 def test_every_level_is_the_cloud_of_its_error():
     mesh = sphere(8)
     cloud = build(mesh, error=0.06, levels=2)
@@ -130,7 +131,7 @@ def test_a_cloud_that_is_no_lighter_than_its_source_proposes_an_error():
 
 
 def test_a_lighter_level_is_proposed_before_an_estimate():
-    levels = build(sphere(12), error=0.04, levels=2).levels
+    levels = build(sphere(8), error=0.04, levels=2).levels
     sentence = describe_weight(levels, 2.0, levels[0].triangle_count, lambda _: 1e9, "Shape")
     assert f"an error of about {levels[1].error / 2.0:.2%}".replace(".00", "") in sentence
 

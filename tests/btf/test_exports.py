@@ -334,6 +334,7 @@ def test_an_octahedral_atlas_needs_the_source(cloud, tmp_path):
         prepare_export(cloud.levels, tmp_path / "a.octahedral", BAKED)
 
 
+@pytest.mark.slow
 def test_each_level_is_written_to_its_own_file(tmp_path):
     cloud = build_small_cloud()
     for level in cloud.levels:

@@ -54,7 +54,7 @@ def render(scene, folder):
     return mean
 
 
-@pytest.mark.parametrize("height", [0.0, 30.0])
+@pytest.mark.parametrize("height", [pytest.param(0.0, marks=pytest.mark.slow), 30.0])
 def test_haze_is_the_fraction_that_was_asked_for_at_half_the_size_and_thins_with_height(tmp_path, height):
     scene, wall = hazy_wall(0.5 * SIZE, 0.4, height)
     near = render(scene, tmp_path)
@@ -77,6 +77,7 @@ def test_the_world_of_the_user_stays_and_a_second_time_changes_the_first():
     assert sun.data.color[0] == pytest.approx(1.0) and sun.data.color[2] < 0.5
 
 
+@pytest.mark.slow
 def test_no_direction_of_the_world_is_black(tmp_path):
     scene, wall = hazy_wall(0.5 * SIZE, 0.4, 0.0)
     bpy.data.objects.remove(wall)

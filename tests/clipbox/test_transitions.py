@@ -43,8 +43,11 @@ def test_a_tunnel_narrows_and_closes_before_the_border(is_smooth):
     assert (np.diff(half) <= 0).all() and len(np.unique(half)) >= 4, "a rounded end, not a wall"
 
 
-@pytest.mark.parametrize("is_smooth", [True, False])
-@pytest.mark.parametrize("terrain", ["tunnel", "cascades", "spheres"])
+@pytest.mark.parametrize(
+    ("terrain", "is_smooth"),
+    [("tunnel", True), ("tunnel", False), ("cascades", True), ("spheres", True)]
+    + [pytest.param(terrain, False, marks=pytest.mark.slow) for terrain in ("cascades", "spheres")],
+)
 def test_no_box_ends_in_a_wall(terrain, is_smooth, monkeypatch):
     source = settings(terrain="spheres" if terrain == "spheres" else "cascades", boxes=4, resolution=48, smooth_moves=is_smooth)
     sampler = Sampler("tunnel", tunnel_in_fine_boxes) if terrain == "tunnel" else build_sampler(source)

@@ -73,7 +73,7 @@ def test_perceptual_levels_of_an_object_and_its_linked_duplicate(camera):
 
 
 def test_an_object_that_is_light_when_decimated_gets_neither_perceptual_levels_nor_a_cloud(camera, monkeypatch):
-    ball = textured_ball(64, "Ball")
+    ball = textured_ball(24, "Ball")
     monkeypatch.setattr(core_levels, "MANY_TRIANGLES", len(ball.data.loops))
     for name in ("_prepare_levels", "_prepare_cloud"):
         monkeypatch.setattr(distance_build, name, lambda _copies: pytest.fail("not needed"))

@@ -186,4 +186,5 @@ def start_session(session: Callable[[], Iterator[float]]) -> None:
             save_screenshot("error")
         (FOLDER / "results.json").write_text(json.dumps(results, indent=2), encoding="utf-8")
 
+    bpy.context.preferences.system.viewport_aa = "OFF"  # otherwise software OpenGL draws each change of a viewport eight times
     window_session.run_steps(session(), write_results)

@@ -95,6 +95,7 @@ def test_a_wrong_pair_is_found(count, is_lens_known):
         assert np.linalg.norm(found.residuals[wrong]) > 30.0
 
 
+@pytest.mark.slow
 def test_noise_alone_is_not_wrong():
     random = np.random.default_rng(3)
     for _ in range(2):

@@ -153,6 +153,7 @@ def test_dask_runs_commands_without_farfield(farm):
             wait_for_exit(pool.submit(["no-such-program"]))
 
 
+@pytest.mark.slow
 def test_a_lost_scheduler_is_reported(farm):
     with open_executor(f"dask:{farm.address}") as executor, executor.open_subprocess_pool() as pool:
         pending = pool.submit(python("import time; time.sleep(20)"))

@@ -83,11 +83,13 @@ def test_error_messages_are_on_stderr(outcomes, failure, code, message):
     assert message in outcome.stderr and outcome.stderr.strip().count("\n") == 0
 
 
+@pytest.mark.slow
 def test_exit_codes_are_kept(outcomes):
     outcome = outcomes["--fail exit"]
     assert (outcome.returncode, outcome.stdout) == (7, "")
 
 
+@pytest.mark.slow
 def test_help_is_printed(outcomes):
     outcome = outcomes["--help"]
     assert outcome.returncode == 0

@@ -99,6 +99,7 @@ def test_triangles_in_tunnels_have_texture_coordinates_that_are_not_flipped():
         assert (part >= mesh.vertices.min(axis=0) - 0.5).all() and (part <= mesh.vertices.max(axis=0) + 0.5).all()
 
 
+@pytest.mark.slow
 def test_many_tunnels_are_closed():
     """A plate with 16 holes of different sizes has the genus 16; its surface has at least 64 triangles as long as they are there."""
     is_solid = np.ones((17, 17, 2), bool)

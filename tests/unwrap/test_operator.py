@@ -161,6 +161,7 @@ def test_edit_mode_unwraps_only_selected_faces():
     assert has_changed[is_top[polygons]].all() and not has_changed[~is_top[polygons]].any()
 
 
+@pytest.mark.slow
 def test_a_painted_vertex_group_gets_more_texels():
     item = add_sphere(segments=20, rings=10)
     group = item.vertex_groups.new(name="Face")

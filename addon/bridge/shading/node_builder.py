@@ -22,10 +22,12 @@ class NodeBuilder:
         self.tree = tree
 
     def node(self, node_type: str, properties: Mapping[str, Any] = MappingProxyType({})) -> bpy.types.Node:
-        """Add a node of the type `node_type` and set some of its `properties`."""
+        """Add a node of the type `node_type` and set some of its `properties`, unless they are as wanted: Blender updates the tree whenever
+        one is set."""
         node = self.tree.nodes.new(node_type)
         for name, value in properties.items():
-            setattr(node, name, value)
+            if getattr(node, name) != value:
+                setattr(node, name, value)
         return node
 
     def connect(self, operand: SocketOrValue, target: bpy.types.NodeSocket) -> None:

@@ -93,6 +93,7 @@ def test_files_beyond_the_size_limit_are_rejected(monkeypatch):
         run_to_end(fmf.write_fmf(io.BytesIO(), random_texture(), fibonacci_sphere(5), fibonacci_sphere(5), 1.0))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     reference_tools.find_python() is None,
     reason="btf-extractor is not installed; run python3 scripts/reference_tools.py",
