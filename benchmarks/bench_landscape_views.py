@@ -13,6 +13,7 @@ import sys
 import time
 from argparse import ArgumentDefaultsHelpFormatter, Namespace
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -52,7 +53,7 @@ PRESETS = Path(__file__).resolve().parents[1] / "addon" / "presets" / "clipbox"
 SCATTERED = {
     "Alpine Range": "forest", "Rolling Hills": "meadow", "Canyon": "rocks", "Mesas": "steppe", "Coast": "meadow", "Dunes": "",
     "Karst Bay": "forest",
-    "Arches": "steppe", "Alien": "rocks", "Caves and Arches": "rocks", "Elevation Model": "forest",
+    "Arches": "steppe", "Alien": "rocks", "Lava": "", "Caves and Arches": "rocks", "Elevation Model": "forest",
 }  # fmt: skip
 REAL = "Elevation Model"
 KINDS = ("near the ground", "valley", "summit", "cave", "air")
@@ -214,15 +215,17 @@ def rays_of(direction: np.ndarray, counts: tuple[int, int]) -> np.ndarray:
     return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 
-def render(path: Path, view: View, width: int, samples: int, save: bool, prepare_ground: Callable[[SkySettings], None]) -> float:
-    """Render a view, and save its scene next to the picture if `save` is set. Returns seconds.
+def render(
+    path: Path, view: View, width: int, samples: int, save: bool, light: SkySettings, prepare_ground: Callable[[SkySettings], None]
+) -> float:
+    """Render a view with the Sun at its side, and save its scene next to the picture if `save` is set. Returns seconds.
 
     prepare_ground: adds what depends on the camera and on the sky.
     """
     scene = bpy.context.scene
     camera = scene.camera or add_camera()
     camera.matrix_world = look_at_matrix(-view.direction, view.position)
-    sky = SkySettings(sun_direction=(math.atan2(view.direction[0], view.direction[1]) + 1.9) % (2.0 * math.pi))
+    sky = replace(light, sun_direction=(math.atan2(view.direction[0], view.direction[1]) + 1.9) % (2.0 * math.pi))
     add_sky(scene, sky)
     prepare_ground(sky)
     if view.kind == "cave":
@@ -240,7 +243,7 @@ def render(path: Path, view: View, width: int, samples: int, save: bool, prepare
     return time.perf_counter() - started
 
 
-def show_views(name: str, choose: Callable[[str, np.random.Generator], Any], given: Namespace) -> list[dict[str, Any]]:
+def show_views(name: str, choose: Callable[[str, np.random.Generator], Any], light: SkySettings, given: Namespace) -> list[dict[str, Any]]:
     """Choose the views of a terrain, and render them if a folder is given. Returns their measurements."""
     random, figures = np.random.default_rng([given.seed, list(SCATTERED).index(name)]), []
     for index in range(given.count):
@@ -259,7 +262,7 @@ def show_views(name: str, choose: Callable[[str, np.random.Generator], Any], giv
 
             given.images.mkdir(parents=True, exist_ok=True)
             path = given.images / f"{name} {index + 1:02} {view.kind}.png"
-            figure["seconds"] = round(render(path, view, given.width, given.samples, given.scenes, prepare_ground), 1)
+            figure["seconds"] = round(render(path, view, given.width, given.samples, given.scenes, light, prepare_ground), 1)
         figures.append(figure)
         print(f"{name}: {json.dumps(figure)}", file=sys.stderr, flush=True)
     return figures
@@ -283,11 +286,13 @@ def main(arguments: list[str], _line: command_line.ProgressLine) -> str:
     given = parser.parse_args(arguments)
     figures: dict[str, Any] = {"seed": given.seed}
     for preset in given.presets:
-        settings = ClipboxSettings(**{**read_preset(PRESETS / f"{preset}.json", [ClipboxSettings]).values, "resolution": given.resolution})
-        figures[preset] = show_views(preset, lambda kind, random, settings=settings: choose_view(kind, settings, random), given)
+        found = read_preset(PRESETS / f"{preset}.json", [ClipboxSettings, SkySettings])
+        settings = replace(found.build(ClipboxSettings), resolution=given.resolution)
+        light = found.build(SkySettings)
+        figures[preset] = show_views(preset, lambda kind, random, settings=settings: choose_view(kind, settings, random), light, given)
     if given.elevation_model is not None:
         store = given.elevation_model.resolve()
-        figures[REAL] = show_views(REAL, lambda kind, random: choose_real_view(store, kind, random), given)
+        figures[REAL] = show_views(REAL, lambda kind, random: choose_real_view(store, kind, random), SkySettings(), given)
     return json.dumps(figures, indent=1)
 
 

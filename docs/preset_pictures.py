@@ -22,6 +22,7 @@ from PIL import Image
 
 from farfield.addon.core.clipbox.settings import ClipboxSettings
 from farfield.addon.core.presets import list_presets, read_preset
+from farfield.addon.core.sky import SkySettings
 
 PRESETS = FOLDER.parent / "addon" / "presets" / "clipbox"
 PIXELS, SAMPLES, QUALITY = 192, 24, 82
@@ -39,6 +40,7 @@ VIEWS = {
     "Dunes": ((82.0, 5.0, 38.0), (223.0, 98.0, -14.0)),
     "Floating Islands": ((0.0, -300.0, 100.0), (60.0, 200.0, 10.0)),
     "Karst Bay": ((584.0, -645.0, 129.0), (487.0, -619.0, 107.0)),
+    "Lava": ((136.0, -1482.0, 14.0), (-492.0, -1020.0, 62.0)),
     "Mesas": ((256.0, -208.0, -52.0), (420.0, 157.0, -41.0)),
     "Rolling Hills": ((-100.0, 0.0, 95.0), (285.0, 210.0, 70.0)),
     "Terraces": ((-80.0, -200.0, 150.0), (40.0, 60.0, -30.0)),
@@ -51,11 +53,12 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=sorted(VIEWS), default=sorted(VIEWS), help="names of presets")
     for path in list_presets(PRESETS):
         if path.stem in parser.parse_args().only:
-            settings = ClipboxSettings(**read_preset(path, [ClipboxSettings]).values)
+            preset = read_preset(path, [ClipboxSettings, SkySettings])
             position, target = (np.array(point) for point in VIEWS[path.stem])
             with tempfile.TemporaryDirectory() as folder:
                 rendered = Path(folder) / "view.png"
-                terrain_views.square_view(rendered, PIXELS, SAMPLES, settings, position, target)
+                settings, light = preset.build(ClipboxSettings), preset.build(SkySettings)
+                terrain_views.square_view(rendered, PIXELS, SAMPLES, settings, position, target, light)
                 Image.open(rendered).convert("RGB").save(path.with_suffix(".webp"), quality=QUALITY, method=6)
 
 

@@ -34,6 +34,11 @@ class Preset:
     description: str = ""
     values: Mapping[str, Any] = field(default_factory=dict)
 
+    def build(self, settings_type: type[Settings]) -> Settings:
+        """Return the settings of one type. Raises SettingsError where values are not allowed."""
+        own = {each.name for each in dataclasses.fields(settings_type)}
+        return settings_type(**{name: value for name, value in self.values.items() if name in own})
+
 
 def preset_settings(settings_types: Iterable[type[Settings]]) -> list[Description]:
     """Return the settings that presets hold: those that name no file or data-block of the user."""
@@ -72,8 +77,7 @@ def check_values(values: Mapping[str, Any], settings_types: Sequence[type[Settin
         if name not in known:
             raise SettingsError(f'It has no setting "{name}" in this version.')
     for settings_type in settings_types:
-        own = {each.name for each in dataclasses.fields(settings_type)}
-        settings_type(**{name: value for name, value in values.items() if name in own})
+        Preset(values=values).build(settings_type)
 
 
 def _to_tuples(values: Mapping[str, Any], settings_types: Iterable[type[Settings]]) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from .settings import Choice, Settings, Unit, setting
 
 LIGHTS = {
     "midday": Choice("Midday", "A high Sun and clear air"),
+    "morning": Choice("Late Morning", "A Sun that reaches the floors of canyons, and clear air"),
     "afternoon": Choice("Afternoon", "A Sun that models the ground with its shadows"),
     "golden_hour": Choice("Golden Hour", "A low, warm Sun with long shadows"),
     "overcast": Choice("Overcast", "Light from all of the sky"),
@@ -70,6 +71,7 @@ class Light:
 
 LIGHT_VALUES = {
     "midday": Light(math.radians(58.0), 8.4, math.radians(0.53), 1.0, 1.0),
+    "morning": Light(math.radians(46.0), 8.8, math.radians(0.53), 1.0, 1.0),
     "afternoon": Light(math.radians(32.0), 9.2, math.radians(0.53), 1.0, 1.2),
     "golden_hour": Light(math.radians(8.0), 12.0, math.radians(0.6), 1.3, 1.6),
     "overcast": Light(math.radians(50.0), 1.0, math.radians(60.0), 1.3, 6.0),

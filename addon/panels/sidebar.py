@@ -68,7 +68,9 @@ class TerrainPanel(ToolPanel):
         column.operator(f"farfield.{tool}_follow_view", text=text, icon=icon, depress=is_following)
         if terrain is not None:
             column.prop(terrain.root, follow_handlers.camera_property(tool))
-            layout.operator_menu_enum("farfield.add_sky", "light", text="Sky and Haze", icon="LIGHT_SUN")
+            row = layout.row(align=True)
+            row.operator("farfield.add_sky", text="Sky and Haze", icon="LIGHT_SUN")
+            row.operator_menu_enum("farfield.add_sky", "light", text="", icon="DOWNARROW_HLT")
             layout.operator_menu_enum("farfield.scatter_add", "kind", text="Plants and Rocks", icon="OUTLINER_OB_POINTCLOUD")
             self.draw_terrain(terrain)
 

@@ -3,6 +3,7 @@
 import math
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
@@ -140,9 +141,17 @@ def copses(path: Path, width: int, samples: int) -> None:
         _render_view(path, width, samples, settings, np.array([0.0, 0.0, 80.0]), np.array([300.0, 160.0, 0.0]))
 
 
-def square_view(path: Path, pixels: int, samples: int, settings: ClipboxSettings, position: np.ndarray, target: np.ndarray) -> None:
-    """Render a square view of terrain from `position` (3,) towards `target` (3,)."""
-    _render_view(path, pixels, samples, settings, position, target, height=pixels)
+def square_view(
+    path: Path,
+    pixels: int,
+    samples: int,
+    settings: ClipboxSettings,
+    position: np.ndarray,
+    target: np.ndarray,
+    light: SkySettings | None = None,
+) -> None:
+    """Render a square view of terrain from `position` (3,) towards `target` (3,), with the Sun of `light` at its side."""
+    _render_view(path, pixels, samples, settings, position, target, height=pixels, light=light)
 
 
 def _render_view(
@@ -154,6 +163,7 @@ def _render_view(
     target: np.ndarray,
     height: int | None = None,
     scattered: str = "",
+    light: SkySettings | None = None,
 ) -> None:
     """Render terrain from `position` (3,) towards `target` (3,), in the format 16:9 unless a height in pixels is given.
 
@@ -165,7 +175,7 @@ def _render_view(
     camera, point_light = _set_up_scene(width, samples)
     point_light.data.energy = 0.0
     x, y, _ = target - position
-    light = SkySettings(sun_direction=(math.atan2(x, y) + SIDE_LIGHT) % (2.0 * math.pi))
+    light = replace(light or SkySettings(), sun_direction=(math.atan2(x, y) + SIDE_LIGHT) % (2.0 * math.pi))
     add_sky(bpy.context.scene, light)
     add_haze(job.terrain, light)
     camera.matrix_world = look_at_matrix((position - target) / np.linalg.norm(position - target), position)

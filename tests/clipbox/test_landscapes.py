@@ -6,10 +6,11 @@ from scipy.ndimage import label
 
 from farfield.addon.core.clipbox.settings import ClipboxSettings
 from farfield.addon.core.clipbox.terrains import landscapes
-from farfield.addon.core.clipbox.terrains.caverns import CARVINGS, carve
+from farfield.addon.core.clipbox.terrains.caverns import CARVINGS, add_dripstone, carve
 from farfield.addon.core.clipbox.terrains.generators import build_sampler
 from farfield.addon.core.clipbox.terrains.grids import Grid
 from farfield.addon.core.clipbox.terrains.height_noise import Gullies, Heights, carve_gullies, resolve, simplex_noise, sum_octaves
+from farfield.addon.core.clipbox.terrains.landscape_parts import Shape
 from farfield.addon.core.clipbox.terrains.landscapes import LANDSCAPES, build_landscape, find_base, read_shape
 
 STEP = 1e-3
@@ -98,6 +99,14 @@ class TestLandscapes:
         surface = 8.0 * (densities.sum(axis=2) - 250)
         assert np.abs(surface - LANDSCAPES[name](x, y, 8.0, shape).height + find_base(name, shape)).max() < 12.0
 
+    def test_gradients_without_gullies_are_derivatives(self, name):
+        shape, (x, y), step = Shape(0, 1.0, 0.0), positions(80, 13.0, (-1200.0, -1700.0)), 0.05
+        heights, ground = LANDSCAPES[name](x, y, 1.0, shape), LANDSCAPES[name]
+        along_x = (ground(x + step, y, 1.0, shape).height - ground(x - step, y, 1.0, shape).height) / (2.0 * step)
+        along_y = (ground(x, y + step, 1.0, shape).height - ground(x, y - step, 1.0, shape).height) / (2.0 * step)
+        errors = np.hypot(along_x - heights.gradient_x, along_y - heights.gradient_y)
+        assert np.quantile(errors, 0.95) < 0.02 * heights.steepness.mean()
+
     def test_ruggedness_raises_mountains(self, name):
         x, y = positions(40, 200.0)
         low, high = (
@@ -114,6 +123,20 @@ def test_caves_arches_and_roots_are_no_heights(name):
     assert (below_rock & ~solid).any(axis=2).mean() > 0.02
 
 
+def test_dripstone_grows_in_halls_under_thick_roofs_and_as_voxels_resolve_it():
+    side = np.full((120, 120), 6.0)
+    counts = []
+    for roof, voxel_size in ((1.0, 1.0), (0.0, 1.0), (1.0, 4.0)):
+        grid = Grid((0, 0, -20), (120, 120, 40), voxel_size)
+        _, _, z = grid.coordinates()
+        walls = np.broadcast_to(np.abs(z) - 6.0, grid.shape).astype(np.float32)
+        hall = walls < 0
+        add_dripstone(walls, grid, 0.0 * side, side, roof + 0.0 * side, 3)
+        counts.append(float((walls > 0)[hall].mean()))
+        assert (walls >= 0)[~hall].all()
+    assert 0.005 < counts[0] < 0.2 and counts[1:] == [0.0, 0.0]
+
+
 def test_rock_between_a_cave_and_the_air_is_thicker_than_a_voxel_or_open():
     depth = np.linspace(-1.0, 20.0, 200).astype(np.float32)  # Into a cliff, behind which there is a cave.
     for thickness in (0.5, 1.0, 1.5, 4.0, 8.0):
@@ -123,7 +146,15 @@ def test_rock_between_a_cave_and_the_air_is_thicker_than_a_voxel_or_open():
 
 @pytest.mark.parametrize(
     ("name", "x", "y"),
-    [("mesas", -400, 700), ("mesas", 1200, 700), ("arches", 0, -900), ("karst", -800, 100), ("karst", 0, -900), ("alien", 400, -300)],
+    [
+        ("mesas", -400, 700),
+        ("mesas", 1200, 700),
+        ("arches", 0, -900),
+        ("karst", -800, 100),
+        ("karst", 0, -900),
+        ("alien", 400, -300),
+        ("lava", -760, -1100),
+    ],
 )
 def test_nothing_floats_above_the_ground(name, x, y):
     solid = build_sampler(ClipboxSettings(terrain=name)).densities(Grid((x, y, -80), (80, 80, 250), 1.0)) > 0

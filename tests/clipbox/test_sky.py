@@ -114,3 +114,13 @@ def test_haze_is_added_once():
     assert groups[0].inputs["Distance"].default_value > 1e9
     output = next(node for node in material.node_tree.nodes if node.type == "OUTPUT_MATERIAL")
     assert output.inputs["Surface"].links[0].from_node == groups[0]
+
+
+def test_the_light_of_a_preset_is_that_of_the_next_sky_and_a_chosen_one_stays(extension):
+    last = bpy.context.scene.farfield_clipbox_sky
+    bpy.ops.farfield.preset_apply(tool="clipbox", name="Canyon")
+    bpy.ops.farfield.add_sky()
+    sun = next(item for item in bpy.context.scene.objects if item.type == "LIGHT")
+    assert sun.data.energy == pytest.approx(LIGHT_VALUES[last.light].strength) and last.light != SkySettings().light
+    bpy.ops.farfield.add_sky(light="overcast")
+    assert last.light == "overcast"

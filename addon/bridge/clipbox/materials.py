@@ -8,6 +8,7 @@ import numpy as np
 
 from ...core.errors import FileError
 from ..shading.ground import DEFAULTS, LAYERS, NO_WATER, add_ground, add_noise
+from ..shading.ground_emission import add_emission
 from ..shading.node_builder import NodeBuilder, create_node_material
 from ..shading.solid_view import show_color
 
@@ -17,7 +18,8 @@ WATER_NAME = "Farfield Water"
 WATER_IOR, WAVELENGTH, WAVE_HEIGHT = 1.333, 9.0, 1.2  # Lengths relative to the smallest voxels, like the distances.
 CALM_DISTANCE, ROUGH_DISTANCE, CALM_ROUGHNESS, MAX_ROUGHNESS = 120.0, 8000.0, 0.02, 0.22
 MEADOW, DRY_GRASS, SCRUB = (0.085, 0.11, 0.032, 1.0), (0.2, 0.16, 0.075, 1.0), (0.1, 0.1, 0.045, 1.0)
-RED_ROCK, PALE_ROCK, DESERT_SAND = (0.3, 0.135, 0.07, 1.0), (0.46, 0.27, 0.16, 1.0), (0.5, 0.34, 0.19, 1.0)
+RED_ROCK, PALE_ROCK, DESERT_SAND = (0.4, 0.18, 0.095, 1.0), (0.56, 0.355, 0.22, 1.0), (0.5, 0.34, 0.19, 1.0)
+LAVA_HEIGHT = 1.2  # Meters above its level below which there is lava: bumps of its surface are lower.
 ALL = 1e6  # Scene units: a height that no ground reaches.
 DEFAULTS_BY_TERRAIN = {  # Other values than DEFAULTS.
     "forest": {  # Steep ground is foliage.
@@ -61,6 +63,11 @@ DEFAULTS_BY_TERRAIN = {  # Other values than DEFAULTS.
         "Undergrowth": (0.16, 0.05, 0.15, 1.0), "Dry Grass": (0.3, 0.33, 0.1, 1.0), "Snow": (0.55, 0.45, 0.3, 1.0),
         "Sand": (0.55, 0.38, 0.36, 1.0), "Rock Slope": 0.6, "Ripples": 0.7,
     },
+    "lava": {
+        "Rock": (0.068, 0.059, 0.054, 1.0), "Strata": (0.1, 0.07, 0.058, 1.0), "Scree": (0.09, 0.078, 0.07, 1.0),
+        "Grass": (0.07, 0.064, 0.06, 1.0), "Undergrowth": (0.042, 0.039, 0.037, 1.0), "Dry Grass": (0.11, 0.078, 0.062, 1.0),
+        "Snow": (0.1, 0.07, 0.058, 1.0), "Sand": (0.05, 0.046, 0.044, 1.0), "Stones": 0.3, "Rock Slope": 0.78, "Roughness": 0.8,
+    },
 }  # fmt: skip
 
 
@@ -85,11 +92,13 @@ def create_terrain_material(
     ground_image: GroundImage | None = None,
     terrain: str = "",
     meter: float = 1.0,
+    level: float = 0.0,
 ) -> bpy.types.Material:
     """Create a material for terrain below `root`, most of which lies between the heights `low` and `high`, scene units above the root.
 
     All colors and numbers are inputs of its node group. voxel_size: of the smallest voxels; shading adds bumps between them. A
-    `ground_image` replaces all ground colors. terrain: its kind. meter: the length of a meter in scene units.
+    `ground_image` replaces all ground colors. terrain: its kind. meter: the length of a meter in scene units. level: z = 0 of the terrain,
+    relative to the root.
 
     Raises:
         FileError: the ground image cannot be read.
@@ -103,6 +112,9 @@ def create_terrain_material(
         values |= dict.fromkeys(LAYERS, _project_ground_image(builder, position, ground_image))
     normal = builder.node("ShaderNodeNewGeometry").outputs["Normal"]
     shader = add_ground(builder, position, normal, values)
+    if terrain == "lava":
+        add_emission(builder, position, normal, {"Height": level + LAVA_HEIGHT * meter, "Meter": meter}, shader)
+        material.cycles.emission_sampling = "NONE"  # Most of the ground does not glow.
     builder.connect(shader, builder.node("ShaderNodeOutputMaterial").inputs["Surface"])
     builder.arrange()
     show_color(material, (DEFAULTS | values)["Grass"] if ground_image is None else DEFAULTS["Grass"])

@@ -22,6 +22,7 @@ LANDSCAPES = {
     "karst": Choice("Karst", "Towers of limestone on a plain, with sinkholes, and caves with columns"),
     "arches": Choice("Arches", "Walls of red rock with arches"),
     "alien": Choice("Alien", "Spires, and roots that wind through ground and air"),
+    "lava": Choice("Lava", "Volcanoes with craters on a plain of basalt, with rivers of lava at z = 0"),
 }
 TERRAINS = LANDSCAPES | {
     "cascades": Choice("Cascades", "Ridged mountains with overhangs, arches and caves"),

@@ -81,6 +81,7 @@ class TerrainJob:
             ground_image,
             settings.terrain,
             settings.scale,
+            -float(origin[2]),
         )
         terrain_objects.show_meshes(self.terrain, pending, core_result, material)
         terrain_objects.show_water(self.terrain, settings)

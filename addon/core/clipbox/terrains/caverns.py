@@ -7,13 +7,19 @@ import numpy as np
 from .grids import Grid, smooth_minimum
 from .hashing import hash_lattice, uniform_random
 from .height_noise import resolve, sum_octaves
-from .landscapes import PLAIN_HEIGHT, Carving, Shape, fin_sides, find_fins, find_plain, rise
+from .landscape_parts import Shape, rise
+from .landscapes import PLAIN_HEIGHT, Carving, fin_sides, find_fins, find_plain
 from .noise import fbm
 
 CAVES = 300  # Added to the seed.
 FLOORS = (24.0, 8.0), (-25.0, 6.0)  # Mean heights of floors of halls, and how far they vary.
 HALL_HEIGHT, COLUMN_DISTANCE, COLUMN_WIDTH = 12.0, 38.0, 16.0  # Half the height where halls are highest; how much of it columns take.
 WALL_ROUGHNESS, WALL_WAVELENGTH = 3.0, 22.0
+DRIP_DISTANCE, DRIP_RADII = 8.5, (0.5, 2.3)  # Side of the cells with one dripstone each, and its radius, from the thinnest on.
+DRIP_FOOT, DRIP_TIP = 1.5, 0.35  # Radii where they leave the wall and at their tips, relative to the radius.
+DRIP_LENGTHS, DRIP_MIN_HEIGHT = (0.05, 0.62), 3.0  # Relative to the height of the hall, half of which is not less.
+DRIP_BLEND = 0.8  # Width of their transition to the wall.
+ROOF = 4.0, 9.0  # Thickness of the roof at which there are none, and at which they have their length.
 HOLE_DISTANCE = 84.0  # Between places for holes along a fin.
 HOLE_FRACTION = 0.7  # Of these places.
 HOLE_FOOT = 0.1  # Height of their centers above the plain, relative to half their height.
@@ -51,7 +57,7 @@ class Roots:
 ROOTS = Roots(13.0, 340.0, 0.4, 12.0, 75.0, 330.0), Roots(5.5, 200.0, 1.7, 4.0, 34.0, 130.0)
 
 
-def carve_halls(grid: Grid, density: np.ndarray, shape: Shape) -> np.ndarray:
+def carve_halls(grid: Grid, density: np.ndarray, surface: np.ndarray, shape: Shape) -> np.ndarray:
     """Carve halls with columns into the ground, on floors one above the other. What voxels cannot resolve is lower, or is left out."""
     shown = resolve(4.0 * HALL_HEIGHT, grid.voxel_size)
     if shown == 0.0:
@@ -72,8 +78,48 @@ def carve_halls(grid: Grid, density: np.ndarray, shape: Shape) -> np.ndarray:
         across = 1.0 / np.sqrt(1.0 + room.steepness**2)
         walls = ((np.abs(z - height - center.height[:, :, None]) - half[:, :, None]) * across[:, :, None]).astype(np.float32)
         walls += fbm(part, WALL_WAVELENGTH, 3, seed, squash=1.5) * np.float32(WALL_ROUGHNESS)
+        center_height = np.float32(height) + center.height
+        shown = np.clip((surface - center_height - half - ROOF[0]) / np.float32(ROOF[1] - ROOF[0]), 0.0, 1.0)
+        add_dripstone(walls, part, center_height, half, shown, seed + 16)
         density[:, :, layers] = carve(density[:, :, layers], walls, spacing)
     return density
+
+
+def add_dripstone(walls: np.ndarray, grid: Grid, center: np.ndarray, half: np.ndarray, shown: np.ndarray, seed: int) -> None:
+    """Add stalactites and stalagmites to the `walls` of halls, in place; where they meet, they are columns.
+
+    center, half: (X, Y) heights of the centers of halls, and half of the height of halls. shown: (X, Y) from 0 to 1, how long they are.
+    """
+    spacing = grid.voxel_size
+    if 1.1 * spacing > DRIP_RADII[1]:
+        return
+    x, y, z = grid.coordinates()
+    row = np.floor(y[:, :, 0] / DRIP_DISTANCE).astype(np.int64)
+    along = x[:, :, 0] / DRIP_DISTANCE + uniform_random(hash_lattice(row, np.int64(0), np.int64(0), seed), 0)
+    column = np.floor(along).astype(np.int64)
+    bits = hash_lattice(column, row, np.int64(0), seed + 1)
+    thick, down, up, place_x, place_y = (uniform_random(bits, index).astype(np.float32) for index in range(5))
+    reach = np.float32(0.5 * DRIP_DISTANCE) - np.float32(DRIP_FOOT * DRIP_RADII[1])  # So that all of it is in one cell.
+    dx = ((along - column - 0.5) * DRIP_DISTANCE).astype(np.float32) - reach * (2.0 * place_x - 1.0)
+    dy = ((y[:, :, 0] / DRIP_DISTANCE - row - 0.5) * DRIP_DISTANCE).astype(np.float32) - reach * (2.0 * place_y - 1.0)
+    radius = np.float32(DRIP_RADII[0]) + np.float32(DRIP_RADII[1] - DRIP_RADII[0]) * thick * thick
+    away = np.sqrt(dx * dx + dy * dy)
+    is_near = (away < DRIP_FOOT * DRIP_RADII[1]) & (half > DRIP_MIN_HEIGHT) & (shown > 0.0) & (radius > np.float32(spacing))
+    found = np.nonzero(is_near)
+    if not len(found[0]):
+        return
+    away, radius, center, half, shown = (values[found][:, None] for values in (away, radius, center, half, shown))
+    height = z[0, 0] - center
+    part = walls[found]
+    for lengths, side in ((down, 1.0), (up, -1.0)):  # From the ceiling and from the floor.
+        length = 2.0 * half * shown * (DRIP_LENGTHS[0] + (DRIP_LENGTHS[1] - DRIP_LENGTHS[0]) * lengths[found][:, None])
+        from_wall = (half - np.float32(side) * height).astype(np.float32)  # Into the hall.
+        t = np.clip(from_wall / length, 0.0, 1.0)
+        tip = np.maximum(np.float32(DRIP_TIP) * radius, np.float32(0.9 * spacing))
+        flare = np.float32(DRIP_FOOT - 1.0) * radius * (1.0 - t) ** 6
+        solid = radius + (tip - radius) * t + flare - np.hypot(away, np.maximum(from_wall - length, np.float32(0.0)))
+        part = -smooth_minimum(-part, -solid, np.float32(DRIP_BLEND))
+    walls[found] = part
 
 
 def carve(density: np.ndarray, walls: np.ndarray, voxel_size: float) -> np.ndarray:
@@ -83,7 +129,7 @@ def carve(density: np.ndarray, walls: np.ndarray, voxel_size: float) -> np.ndarr
     return np.minimum(smooth_minimum(density, walls, np.float32(EDGE)), thickness)
 
 
-def carve_holes(grid: Grid, density: np.ndarray, shape: Shape) -> np.ndarray:
+def carve_holes(grid: Grid, density: np.ndarray, _surface: np.ndarray, shape: Shape) -> np.ndarray:
     """Carve holes through the fins of *Arches*."""
     layers, part = _layers_between(grid, -2.0 * PLAIN_HEIGHT, 2.0 * PLAIN_HEIGHT + 1.2 * HOLE_HEIGHTS[1])
     if part is None:
@@ -112,7 +158,7 @@ def carve_holes(grid: Grid, density: np.ndarray, shape: Shape) -> np.ndarray:
     return density
 
 
-def add_roots(grid: Grid, density: np.ndarray, shape: Shape) -> np.ndarray:
+def add_roots(grid: Grid, density: np.ndarray, _surface: np.ndarray, shape: Shape) -> np.ndarray:
     """Add roots that wind through the ground and the air. Each follows a line in the plane, up and down, so that none ends in the air."""
     for number, roots in enumerate(ROOTS):
         reach = HIGHEST * roots.rise + 2.0 * max(roots.radius, grid.voxel_size)

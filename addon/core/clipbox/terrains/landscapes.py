@@ -5,20 +5,21 @@ steep ground, noise in three dimensions breaks it into ledges and overhangs.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from ..settings import ClipboxSettings
 from .grids import DensityFunction, Grid
 from .height_noise import Gullies, Heights, carve_gullies, resolve, sum_octaves
+from .landscape_parts import BUMPS, GULLIES, LEDGES, MORE, WARPS, Shape, add_layers, cut, rise, warp
+from .lava import lava
 from .noise import fbm
 
 SEEDS = 128  # Of each terrain.
-MORE, WARPS, GULLIES, BUMPS, LEDGES = 20, 40, 60, 80, 100  # Added to the seed, so that octaves of different noise are independent.
 ROCK_STEEPNESS, ROCK_BLEND = 0.75, 0.5  # The length of the gradient from which on ground is rock, and how much steeper all of it is.
-LEVEL_AT_0 = "coast", "karst", "arches", "alien"  # Whose sea or plain is at a height of 0.
-LEDGE_WAVELENGTH, LEDGE_OCTAVES, LEDGE_DEPTH = 18.0, 4, 3.6  # On rock.
+LEVEL_AT_0 = "coast", "karst", "arches", "alien", "lava"  # Whose sea, plain or lava is at a height of 0.
+LEDGES_OF_ROCK = {"alps": (84.0, 6, 12.0)}  # Wavelength, octaves and depth, where they are not those of SMALL_LEDGES.
+SMALL_LEDGES = 18.0, 4, 3.6
 OVERHANG = 0.4  # How far ledges stand out, relative to how far they go back: more floats above the ground.
 MAX_STEEPNESS = 5.0  # The length of the gradient from which on ledges become less deep, since they would float above the ground.
 BUMP_WAVELENGTH, BUMP_OCTAVES, BUMP_HEIGHT = 24.0, 5, 0.6  # Everywhere.
@@ -28,26 +29,9 @@ FIN_DISTANCE, FIN_HEIGHT, PLAIN_HEIGHT, FIN_WARP = 62.0, 62.0, 9.0, 2.6  # Lengt
 SPIRE_HEIGHT, SPIRE_SHARPNESS = 1.1, 3.9  # Of the noise at 0, and per unit of noise.
 DUNE_SKEW = 0.75  # From symmetric waves, 0, to vertical slip faces, 1.
 
-Noise = Callable[[np.ndarray, np.ndarray], Heights]
-
-
-@dataclass(frozen=True)
-class Shape:
-    """What the settings say about a landscape.
-
-    Attributes:
-        seed: of its noise.
-        ruggedness: factor of heights.
-        erosion: factor of the depth of gullies.
-    """
-
-    seed: int
-    ruggedness: float
-    erosion: float
-
-
 Ground = Callable[[np.ndarray, np.ndarray, float, Shape], Heights]  # Of positions (X, Y) and the spacing of samples.
-Carving = Callable[[Grid, np.ndarray, Shape], np.ndarray]  # Returns the densities of a grid, in meters, with what is not a height.
+# Of a grid, its densities, and the heights (X, Y) of the ground. Returns the densities with what is no height. In meters.
+Carving = Callable[[Grid, np.ndarray, np.ndarray, Shape], np.ndarray]
 
 
 def alps(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
@@ -65,23 +49,26 @@ def hills(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights
 
 
 def canyon(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
-    """Return a plateau that rivers have cut into, down through layers of hard and soft rock."""
-    plateau = sum_octaves(x, y, spacing, 3_000.0, 3, shape.seed, 0.4).scale(32.0 * shape.ruggedness)
+    """Return a plateau that rivers have cut into in two steps, down through layers of hard and soft rock, and brooks on their way there."""
+    plateau = sum_octaves(x, y, spacing, 3_000.0, 4, shape.seed, 0.45).scale(42.0 * shape.ruggedness)
     seed = shape.seed + MORE
     rivers = warp(lambda x, y: sum_octaves(x, y, spacing, 5_200.0, 3, seed, 0.3), x, y, spacing, 2_600.0, 300.0, shape.seed + WARPS)
-    ground = plateau.add(_cut(rivers, 0.227), -330.0 * shape.ruggedness)
+    inner, outer = cut(rivers, 0.22), cut(rivers, 0.42)
+    brooks = cut(sum_octaves(x, y, spacing, 1_700.0, 2, seed + 8, 0.4), 0.2).multiply(cut(rivers, 0.75))
+    brooks = brooks.multiply(inner.map(1.0 - inner.height, np.float32(-1.0)))
+    ground = plateau.add(inner, -250.0 * shape.ruggedness).add(outer, -90.0 * shape.ruggedness).add(brooks, -130.0 * shape.ruggedness)
     ground = carve_gullies(ground, x, y, spacing, Gullies(700.0, 6, 0.11 * shape.erosion, 0.8, 0.35), shape.seed + GULLIES)
-    return _layers(_layers(ground, 90.0, 0.8), 23.0, 0.6)
+    return add_layers(add_layers(ground, 90.0, 0.8), 23.0, 0.6)
 
 
 def mesas(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
     """Return table mountains with cliffs above scree."""
     places = warp(lambda x, y: sum_octaves(x, y, spacing, 1_500.0, 4, shape.seed, 0.45), x, y, spacing, 900.0, 92.0, shape.seed + WARPS)
-    tables = _cut(places.map(places.height - np.float32(0.64), np.float32(1.0)), 0.71)
+    tables = cut(places.map(places.height - np.float32(0.64), np.float32(1.0)), 0.71)
     plain = sum_octaves(x, y, spacing, 2_000.0, 3, shape.seed + MORE, 0.45).scale(10.0)
     ground = plain.add(tables, 130.0 * shape.ruggedness)
     ground = carve_gullies(ground, x, y, spacing, Gullies(260.0, 5, 0.09 * shape.erosion, 0.8, 0.5), shape.seed + GULLIES)
-    return _layers(_layers(ground, 65.0, 0.95), 11.0, 0.5)
+    return add_layers(add_layers(ground, 65.0, 0.95), 11.0, 0.5)
 
 
 def coast(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
@@ -97,7 +84,7 @@ def coast(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights
     ground = ground.map((ground.height - np.float32(39.0)) * np.float32(shape.ruggedness), np.float32(shape.ruggedness))
     ground = carve_gullies(ground, x, y, spacing, Gullies(420.0, 6, 0.045 * shape.erosion, 0.8, 0.35), shape.seed + GULLIES)
     stacks = sum_octaves(x, y, spacing, 150.0, 3, shape.seed + MORE + 12, 0.4)
-    near_shore = _cut(land.map(land.height + np.float32(0.07), np.float32(1.0)), 0.085)
+    near_shore = cut(land.map(land.height + np.float32(0.07), np.float32(1.0)), 0.085)
     return ground.add(rise(stacks, 0.42, 0.07).multiply(near_shore), 58.0 * shape.ruggedness)
 
 
@@ -136,7 +123,7 @@ def arches(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Height
     plain = find_plain(x, y, spacing, shape)
     ground = plain.add(walls.multiply(tall), FIN_HEIGHT * shape.ruggedness)
     ground = carve_gullies(ground, x, y, spacing, Gullies(60.0, 4, 0.06 * shape.erosion, 0.8, 0.7), shape.seed + GULLIES)
-    return _layers(ground, 13.0, 0.45)
+    return add_layers(ground, 13.0, 0.45)
 
 
 def find_fins(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights:
@@ -168,35 +155,6 @@ def alien(x: np.ndarray, y: np.ndarray, spacing: float, shape: Shape) -> Heights
     return carve_gullies(ground, x, y, spacing, Gullies(130.0, 5, 0.1 * shape.erosion, 0.8, 0.35), shape.seed + GULLIES)
 
 
-def warp(noise: Noise, x: np.ndarray, y: np.ndarray, spacing: float, wavelength: float, distance: float, seed: int) -> Heights:
-    """Return noise at positions that other noise has moved, which warps ridges and valleys."""
-    along_x, along_y = (sum_octaves(x, y, spacing, wavelength, 2, seed + 8 * axis).scale(distance) for axis in (0, 1))
-    warped = noise(x + along_x.height, y + along_y.height)
-    gradient_x = warped.gradient_x * (1.0 + along_x.gradient_x) + warped.gradient_y * along_y.gradient_x
-    gradient_y = warped.gradient_x * along_x.gradient_y + warped.gradient_y * (1.0 + along_y.gradient_y)
-    return Heights(warped.height, gradient_x, gradient_y)
-
-
-def _cut(places: Heights, width: float) -> Heights:
-    """Return 1 where `places` is 0, falling to 0 on both sides within `width`, with steep walls."""
-    t = places.height / np.float32(width)
-    value = np.exp(-(t**4))
-    return places.map(value, -4.0 * t**3 * value / np.float32(width))
-
-
-def rise(places: Heights, center: float, width: float) -> Heights:
-    """Return 0 where `places` are far below `center` and 1 far above, with an S-curve between."""
-    value = 0.5 + 0.5 * np.tanh((places.height - np.float32(center)) / np.float32(width))
-    return places.map(value, np.float32(2.0 / width) * value * (1.0 - value))
-
-
-def _layers(ground: Heights, thickness: float, hardness: float) -> Heights:
-    """Return ground with ledges: layers of a thickness, of which each has a steep and a level part. hardness: from 0 to 1."""
-    phase = ground.height * np.float32(2.0 * np.pi / thickness)
-    step = ground.height - np.float32(hardness * thickness / (2.0 * np.pi)) * np.sin(phase)
-    return ground.map(step, 1.0 - np.float32(hardness) * np.cos(phase))
-
-
 LANDSCAPES: dict[str, Ground] = {
     "alps": alps,
     "hills": hills,
@@ -207,6 +165,7 @@ LANDSCAPES: dict[str, Ground] = {
     "karst": karst,
     "arches": arches,
     "alien": alien,
+    "lava": lava,
 }
 
 
@@ -228,6 +187,7 @@ def build_landscape(source: ClipboxSettings, carve: Carving | None) -> DensityFu
     """
     ground, shape, scale = LANDSCAPES[source.terrain], read_shape(source), source.scale
     base = np.float32(find_base(source.terrain, shape))
+    wavelength, octaves, depth = LEDGES_OF_ROCK.get(source.terrain, SMALL_LEDGES)
 
     def densities(scaled: Grid) -> np.ndarray:
         grid = Grid(scaled.origin, scaled.shape, scaled.voxel_size / scale)
@@ -237,19 +197,20 @@ def build_landscape(source: ClipboxSettings, carve: Carving | None) -> DensityFu
         heights = ground(x, y, grid.voxel_size, shape).add(bumps, BUMP_HEIGHT)
         steepness = heights.steepness
         across = np.float32(1.0) / np.sqrt(1.0 + steepness * steepness)
+        surface = heights.height - base
         density = np.empty(grid.shape, np.float32)
-        for layer, line, factor in zip(density, heights.height - base, across, strict=True):  # layers stay in the CPU cache
+        for layer, line, factor in zip(density, surface, across, strict=True):  # layers stay in the CPU cache
             np.multiply(line[:, None] - z[0], factor[:, None], out=layer, casting="same_kind")
         rock = np.clip((steepness - np.float32(ROCK_STEEPNESS)) / np.float32(ROCK_BLEND), 0.0, 1.0)
         if rock.any():
-            ledges = fbm(grid, LEDGE_WAVELENGTH, LEDGE_OCTAVES, shape.seed + LEDGES, squash=1.5)
-            rock *= np.minimum(np.float32(LEDGE_DEPTH), np.float32(LEDGE_DEPTH * MAX_STEEPNESS) / np.maximum(steepness, np.float32(1.0)))
+            ledges = fbm(grid, wavelength, octaves, shape.seed + LEDGES, squash=1.5)
+            rock *= np.minimum(np.float32(depth), np.float32(depth * MAX_STEEPNESS) / np.maximum(steepness, np.float32(1.0)))
             for layer, ledge, factor in zip(density, ledges, rock, strict=True):
                 np.multiply(ledge, np.float32(OVERHANG), out=ledge, where=ledge > 0.0)
                 ledge *= factor[:, None]
                 layer += ledge
         if carve is not None:
-            density = carve(grid, density, shape)
+            density = carve(grid, density, surface, shape)
         density *= np.float32(scale)
         return density
 
