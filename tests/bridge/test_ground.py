@@ -58,7 +58,7 @@ def change(folder, height, terrain, first, second, **options):
 
 
 def find_direction(values):
-    """The direction in which values (N, N) change most, as an angle from the x axis in radians, and how much less they do across, 0 to 1."""
+    """The direction in which values (N, N) change most, radians from the x axis, and how much less they do across it, from 0 to 1."""
     y, x = np.gradient(values)
     along, across, both = (x * x).mean(), (y * y).mean(), 2.0 * (x * y).mean()
     return 0.5 * math.atan2(both, along - across), math.hypot(along - across, both) / (along + across)

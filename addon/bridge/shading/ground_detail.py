@@ -31,11 +31,15 @@ class Bumps:
 DISTANT, DISTANT_FROM = Bumps(110.0, 20.0, 5, 0.8), 1200.0  # Relative to Bump Size. Nearer than the distance, voxels have that shape.
 MEDIUM = Bumps(10.0, 3.0, 4, 0.9)  # Relative to Bump Size; it has more octaves where voxels are much larger than a meter.
 FINE, FINE_GAIN = Bumps(0.5, 0.09, 5, 2.0), 0.75  # Relative to Meter, and the height of each octave relative to that of the one before.
-JOINTS, JOINT_ASPECT, JOINT_COLOR = Bumps(36.0, 7.0, 4, 0.0), 0.35, 0.55  # Ridges of noise, relative to Bump Size; width by height.
+JOINTS, JOINT_ASPECT, JOINT_COLOR = (
+    Bumps(36.0, 7.0, 4, 0.0),
+    0.35,
+    0.55,
+)  # Ridges of noise, with units and octaves as MEDIUM; width by height.
 JOINT_SHARPNESS = 1.35
 # Ridges of all sizes, relative to Meter or to four times Bump Size, whichever is larger. Width by height, and their mean.
-CRACKS, CRACK_ASPECT, CRACK_MEAN, CRACK_VOXELS = Bumps(3.4, 0.088, 8, 0.5), 0.8, 0.9, 4.0
-STRATA_OCTAVES, STRATA_HEIGHT, STRATA_WARP = 5, 0.3, 1.0  # Height and warp are relative to the thickness of layers.
+CRACKS, CRACK_ASPECT, CRACK_MEAN, CRACK_VOXELS = Bumps(3.4, 0.12, 8, 0.65), 0.6, 0.9, 4.0
+STRATA_OCTAVES, STRATA_HEIGHT, STRATA_WARP = 5, 0.45, 1.0  # Height and warp are relative to the thickness of layers.
 STREAK_WAVELENGTH, STREAK_ASPECT, STREAK_COLOR = 5.0, 0.07, 1.1  # Of stains that run down rock: meters, width by height, contrast.
 
 
@@ -60,6 +64,7 @@ class GroundBumps:
         fine: the smallest of them.
         shade: how much brighter bumps are, mean 0.
         height: of bumps, scene units.
+        gap: octaves by which a voxel is longer than a meter.
     """
 
     def __init__(self, noise: GroundNoise) -> None:
@@ -70,8 +75,8 @@ class GroundBumps:
         octaves = builder.multiply_add(near, 10.0 * DISTANT.octaves, 1.0)  # Few where they are not seen, to save time.
         distant = noise.noise(builder.math("MULTIPLY", size, DISTANT.wavelength), octaves)
         distant = builder.math("MULTIPLY", distant, builder.math("MULTIPLY", near, noise.inputs["Distant Bumps"]))
-        gap = builder.math("LOGARITHM", builder.math("DIVIDE", size, meter), 2.0)
-        octaves = builder.math("ADD", builder.math("MAXIMUM", gap, 0.0), float(MEDIUM.octaves))
+        self.gap = builder.math("MAXIMUM", builder.math("LOGARITHM", builder.math("DIVIDE", size, meter), 2.0), 0.0)
+        octaves = builder.math("ADD", self.gap, float(MEDIUM.octaves))
         medium = noise.noise(builder.math("MULTIPLY", size, MEDIUM.wavelength), octaves)
         self.height, self.pattern, self.shade = 0.0, 0.0, 0.0
         for bumps, value, unit in ((DISTANT, distant, size), (MEDIUM, medium, size), (FINE, self.fine, meter)):
@@ -84,7 +89,8 @@ def add_rock(noise: GroundNoise, bumps: GroundBumps) -> Layer:
     """Return rock with layers, joints, cracks and stains."""
     builder, position, size, meter = noise.builder, noise.position, noise.inputs["Bump Size"], noise.inputs["Meter"]
     stretched = builder.vector("MULTIPLY", position, (1.0, 1.0, JOINT_ASPECT))
-    folds = noise.noise(builder.math("MULTIPLY", size, JOINTS.wavelength), JOINTS.octaves, stretched)
+    octaves = builder.math("ADD", bumps.gap, float(JOINTS.octaves))
+    folds = noise.noise(builder.math("MULTIPLY", size, JOINTS.wavelength), octaves, stretched)
     joints = builder.multiply_add(builder.math("ABSOLUTE", folds), -JOINT_SHARPNESS, 1.0)
     joints = builder.math("MAXIMUM", joints, 0.0)
     stretched = builder.vector("MULTIPLY", position, (1.0, 1.0, CRACK_ASPECT))

@@ -12,7 +12,7 @@ DRY, WET, SOFTNESS = -0.22, 0.24, 0.36  # The moisture at which grass is half dr
 WETTEST = 0.75  # How much undergrowth there is at most.
 # Tufts: the wavelength of the largest in meters, and their octaves; the taps along a blade, and the length between them on the ground.
 TUFT_WAVELENGTH, TUFT_OCTAVES, TUFT_GAIN, TAPS, TAP_LENGTH = 0.1, 4, 0.75, 4, 0.036
-ROOT_SHADE, TIP_SHADE = 0.5, 1.4
+ROOT_SHADE, TIP_SHADE = 0.58, 1.68
 BLADE_LIMITS, BLADE_SHARPNESS = (-0.45, 0.35), 1.8  # Noise above which there are blades, at the lowest and at the highest tap.
 DRY_TIPS = 0.3
 
