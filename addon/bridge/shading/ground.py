@@ -183,7 +183,7 @@ class GroundGroup:
         tracks = noise.noise(builder.math("MULTIPLY", inputs["Meter"], TRACK_WAVELENGTH), 4, dimensions="2D")
         tracks = ramp(builder, builder.math("ABSOLUTE", tracks), 0.5 * TRACK_WIDTH, 0.5 * TRACK_WIDTH, 1.0, BETWEEN_TRACKS)
         density = builder.math("MULTIPLY", builder.math("MULTIPLY", tracks, is_free), inputs["Pebbles"])
-        ground = add_stones(noise, ground, PEBBLES, inputs["Scree"], density)
+        ground = add_stones(noise, ground, PEBBLES, inputs["Scree"], density, inputs["Pebbles"])
         width = builder.math("MULTIPLY", inputs["Scree Width"], 0.5)
         start = builder.math("ADD", inputs["Rock Slope"], builder.math("MULTIPLY", inputs["Scree Width"], 0.75))
         is_scree = builder.math("MULTIPLY", ramp(builder, self._normal_z, start, width, 1.0, 0.0), is_free)

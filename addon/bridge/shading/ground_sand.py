@@ -26,13 +26,15 @@ def add_sand(noise: GroundNoise) -> Layer:
     turn = add_raw_noise(builder, turned, builder.math("MULTIPLY", meter, TURN_WAVELENGTH), 1.0, dimensions="2D").outputs[0]
     x = builder.multiply_add(turn, builder.math("MULTIPLY", meter, TURN), builder.separate(noise.position)[0])
     footprint, strength = noise.add_footprint(), builder.math("MULTIPLY", _add_strength(noise), noise.inputs["Ripples"])
+    has_ripples = builder.math("SIGN", noise.inputs["Ripples"])  # Cycles leaves out a Bump node whose height is a constant 0.
     bumps, shade = [], 1.0
     for wavelength, relative in zip(WAVELENGTHS, HEIGHTS, strict=True):
         length = builder.math("MULTIPLY", meter, wavelength)
         wave = _add_waves(noise, x, length)
         resolved = builder.math("DIVIDE", builder.math("DIVIDE", length, MIN_PIXELS), footprint)
         seen = builder.math("MULTIPLY", clamp(builder, builder.math("SUBTRACT", resolved, 1.0)), strength)
-        bumps.append((builder.math("MULTIPLY", wave, builder.math("MULTIPLY", length, relative)), seen))
+        height = builder.math("MULTIPLY", builder.math("MULTIPLY", length, relative), has_ripples)
+        bumps.append((builder.math("MULTIPLY", wave, height), seen))
         shade = builder.multiply_add(builder.math("MULTIPLY", wave, seen), CONTRAST, shade)
     return Layer(builder.vector("SCALE", noise.inputs["Sand"], shade), tuple(bumps))
 

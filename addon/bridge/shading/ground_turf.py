@@ -68,4 +68,5 @@ def _add_blades(noise: GroundNoise) -> tuple[bpy.types.NodeSocket, bpy.types.Nod
         brightness = ROOT_SHADE + (part + 0.3) / 1.3 * (TIP_SHADE - ROOT_SHADE)
         shade = builder.multiply_add(blade, builder.math("SUBTRACT", brightness, shade), shade)
     blades = builder.math("MULTIPLY", seen, noise.inputs["Blades"])
-    return builder.multiply_add(builder.math("SUBTRACT", shade, 1.0), blades, 1.0), builder.math("MULTIPLY", blade, blades)
+    shade = builder.math("MULTIPLY", builder.math("SUBTRACT", shade, 1.0), blades)  # Cycles leaves out factors of a constant 0.
+    return builder.math("ADD", shade, 1.0), builder.math("MULTIPLY", blade, blades)
