@@ -93,6 +93,7 @@ def _fill_surface(
     span = max(heights[1] - heights[0], 1e-6)
     if shading == "slope":
         levels = {"Rock Slope": ROCK_NORMAL, "Snow Height": heights[0] + SNOW_HEIGHT * span, "Sand Height": heights[0] - span}
+        levels["Middle Height"] = heights[0] + 0.5 * span
         values = {"Size": 0.5 * span, "Bump Size": BUMP_SIZE * cell_size, "Distant Bumps": 0.0, **levels}
         return add_ground(builder, position, normal, values)
     fraction = builder.math("DIVIDE", builder.math("SUBTRACT", builder.separate(position)[2], heights[0]), span)

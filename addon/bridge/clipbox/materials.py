@@ -7,8 +7,9 @@ import bpy
 import numpy as np
 
 from ...core.errors import FileError
-from ..shading.ground import DEFAULTS, LAYERS, NO_WATER, add_ground, add_noise
+from ..shading.ground import DEFAULTS, LAYERS, NO_WATER, add_ground
 from ..shading.ground_emission import add_emission
+from ..shading.ground_noise import add_noise
 from ..shading.node_builder import NodeBuilder, create_node_material
 from ..shading.solid_view import show_color
 
@@ -24,7 +25,7 @@ ALL = 1e6  # Scene units: a height that no ground reaches.
 DEFAULTS_BY_TERRAIN = {  # Other values than DEFAULTS.
     "forest": {  # Steep ground is foliage.
         "Rock": (0.045, 0.075, 0.018, 1.0), "Strata": (0.045, 0.075, 0.018, 1.0), "Scree": (0.05, 0.07, 0.02, 1.0),
-        "Snow": (0.06, 0.09, 0.025, 1.0), "Sand": (0.12, 0.105, 0.05, 1.0),
+        "Snow": (0.06, 0.09, 0.025, 1.0), "Sand": (0.12, 0.105, 0.05, 1.0), "Blades": 0.5,
     },
     "alps": {
         "Rock": (0.2, 0.185, 0.17, 1.0), "Strata": (0.3, 0.28, 0.255, 1.0), "Scree": (0.27, 0.25, 0.225, 1.0),
@@ -33,20 +34,22 @@ DEFAULTS_BY_TERRAIN = {  # Other values than DEFAULTS.
     "hills": {"Snow": MEADOW, "Sand": (0.05, 0.07, 0.022, 1.0), "Rock Slope": 0.5},
     "canyon": {
         "Rock": RED_ROCK, "Strata": PALE_ROCK, "Scree": (0.36, 0.19, 0.1, 1.0), "Grass": DRY_GRASS, "Undergrowth": SCRUB,
-        "Dry Grass": (0.3, 0.2, 0.11, 1.0), "Snow": DRY_GRASS, "Sand": (0.36, 0.2, 0.11, 1.0), "Stones": 0.15,
+        "Dry Grass": (0.3, 0.2, 0.11, 1.0), "Snow": DRY_GRASS, "Sand": (0.36, 0.2, 0.11, 1.0), "Stones": 0.1,
+        "Pebbles": 0.5, "Blades": 0.6, "Moisture": -0.2,
     },
     "mesas": {
         "Rock": RED_ROCK, "Strata": PALE_ROCK, "Scree": (0.36, 0.18, 0.09, 1.0), "Grass": (0.34, 0.2, 0.1, 1.0), "Undergrowth": SCRUB,
-        "Dry Grass": (0.42, 0.23, 0.12, 1.0), "Snow": DRY_GRASS, "Sand": (0.42, 0.24, 0.13, 1.0), "Stones": 0.15,
+        "Dry Grass": (0.42, 0.23, 0.12, 1.0), "Snow": DRY_GRASS, "Sand": (0.42, 0.24, 0.13, 1.0), "Stones": 0.1,
+        "Pebbles": 0.7, "Blades": 0.0, "Moisture": -0.3,
     },
     "coast": {
         "Rock": (0.15, 0.13, 0.11, 1.0), "Strata": (0.27, 0.23, 0.18, 1.0), "Snow": (0.075, 0.095, 0.028, 1.0),
-        "Sand": (0.5, 0.41, 0.28, 1.0), "Ripples": 0.6, "Rock Slope": 0.75, "Height Blend": 0.02, "Height Noise": 0.04,
+        "Sand": (0.5, 0.41, 0.28, 1.0), "Ripples": 0.6, "Pebbles": 0.4, "Rock Slope": 0.75, "Height Blend": 0.02, "Height Noise": 0.04,
     },
     "dunes": {
         "Rock": (0.46, 0.3, 0.16, 1.0), "Strata": DESERT_SAND, "Scree": DESERT_SAND, "Grass": DESERT_SAND, "Undergrowth": DESERT_SAND,
         "Snow": DESERT_SAND, "Dry Grass": DESERT_SAND, "Sand": DESERT_SAND, "Sand Height": ALL, "Rock Slope": -1.0, "Stones": 0.0,
-        "Ripples": 1.0, "Color Noise": 0.3,
+        "Ripples": 1.0, "Pebbles": 0.25, "Blades": 0.0, "Moisture": -0.3, "Color Noise": 0.3,
     },
     "karst": {
         "Rock": (0.2, 0.185, 0.16, 1.0), "Strata": (0.34, 0.31, 0.26, 1.0), "Scree": (0.16, 0.15, 0.1, 1.0),
@@ -56,17 +59,18 @@ DEFAULTS_BY_TERRAIN = {  # Other values than DEFAULTS.
     "arches": {
         "Rock": (0.36, 0.13, 0.055, 1.0), "Strata": (0.5, 0.24, 0.12, 1.0), "Scree": (0.4, 0.18, 0.085, 1.0),
         "Grass": (0.38, 0.2, 0.1, 1.0), "Undergrowth": SCRUB, "Dry Grass": (0.46, 0.22, 0.11, 1.0),
-        "Stones": 0.15, "Snow": (0.42, 0.18, 0.08, 1.0), "Sand": (0.46, 0.23, 0.115, 1.0),
+        "Stones": 0.1, "Pebbles": 0.7, "Blades": 0.0, "Moisture": -0.3, "Snow": (0.42, 0.18, 0.08, 1.0), "Sand": (0.46, 0.23, 0.115, 1.0),
     },
     "alien": {
         "Rock": (0.4, 0.17, 0.15, 1.0), "Strata": (0.6, 0.37, 0.28, 1.0), "Scree": (0.42, 0.26, 0.25, 1.0), "Grass": (0.05, 0.2, 0.17, 1.0),
         "Undergrowth": (0.16, 0.05, 0.15, 1.0), "Dry Grass": (0.3, 0.33, 0.1, 1.0), "Snow": (0.55, 0.45, 0.3, 1.0),
-        "Sand": (0.55, 0.38, 0.36, 1.0), "Rock Slope": 0.6, "Ripples": 0.7,
+        "Sand": (0.55, 0.38, 0.36, 1.0), "Rock Slope": 0.6, "Ripples": 0.7, "Blades": 0.6,
     },
     "lava": {
         "Rock": (0.068, 0.059, 0.054, 1.0), "Strata": (0.1, 0.07, 0.058, 1.0), "Scree": (0.09, 0.078, 0.07, 1.0),
         "Grass": (0.07, 0.064, 0.06, 1.0), "Undergrowth": (0.042, 0.039, 0.037, 1.0), "Dry Grass": (0.11, 0.078, 0.062, 1.0),
         "Snow": (0.1, 0.07, 0.058, 1.0), "Sand": (0.05, 0.046, 0.044, 1.0), "Stones": 0.3, "Rock Slope": 0.78, "Roughness": 0.8,
+        "Blades": 0.0,
     },
 }  # fmt: skip
 
@@ -107,14 +111,16 @@ def create_terrain_material(
     material, builder = create_node_material(name)
     position = builder.node("ShaderNodeTexCoord", {"object": root}).outputs["Object"]
     values = {"Size": size, "Bump Size": voxel_size, "Meter": meter, "Snow Height": high + SNOW_LINE * size, "Sand Height": low}
+    values["Middle Height"] = 0.5 * (low + high)
     values |= DEFAULTS_BY_TERRAIN.get(terrain, {})
     if ground_image is not None:
         values |= dict.fromkeys(LAYERS, _project_ground_image(builder, position, ground_image))
     normal = builder.node("ShaderNodeNewGeometry").outputs["Normal"]
     shader = add_ground(builder, position, normal, values)
     if terrain == "lava":
-        add_emission(builder, position, normal, {"Height": level + LAVA_HEIGHT * meter, "Meter": meter}, shader)
-        material.cycles.emission_sampling = "NONE"  # Most of the ground does not glow.
+        shader = add_emission(builder, position, normal, {"Height": level + LAVA_HEIGHT * meter, "Meter": meter}, shader)
+        if hasattr(material, "cycles"):
+            material.cycles.emission_sampling = "NONE"  # Most of the ground does not glow.
     builder.connect(shader, builder.node("ShaderNodeOutputMaterial").inputs["Surface"])
     builder.arrange()
     show_color(material, (DEFAULTS | values)["Grass"] if ground_image is None else DEFAULTS["Grass"])

@@ -1,41 +1,43 @@
-"""The material of landscapes: shader nodes that choose rock, soil or snow by the normal and the height, with noise of all sizes.
+"""The material of landscapes: shader nodes that choose rock, soil, sand or snow by the normal and the height, with noise of all sizes.
 
-All colors and numbers are inputs of one node group, which the terrains of all tools share.
+All colors and numbers are inputs of one node group, which the terrains of all tools share. Rock, soil and sand are shaders of their own,
+since Cycles skips what only belongs to a shader whose part of a mix is 0. So nothing of rock is computed on a meadow, and hardly anything
+for light that other ground scatters, where details do not show.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import bpy
 
-from .ground_detail import GroundDetail, add_noise, between, ramp
+from .ground_detail import GroundBumps, Layer, add_rock
+from .ground_noise import GroundNoise, add_noise, between, invert, ramp
+from .ground_sand import add_sand
+from .ground_stones import COBBLES, PEBBLES, add_stones
+from .ground_turf import add_turf
 from .node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
 
 GROUP_NAME = "Farfield Ground"
-GROUP_VERSION = 5
+GROUP_VERSION = 6
 NO_WATER = -1e6  # scene units
-
 
 BREAKUP = 0.35  # How much bumps move the borders between layers, relative to the variation by noise.
 WET_COLOR, WET_ROUGHNESS = 0.45, 0.35  # Of wet ground, relative to dry ground.
-SMOOTH_CONTRAST = 0.35  # Of bumps on sand and snow, relative to that on other ground.
-ROCK_EVENNESS = 0.7  # How far rock is from the contrast of other ground to that of sand, since it has cracks.
-PATCH_WAVELENGTH, PATCH_OCTAVES = 38.0, 3  # Of dry grass, meters.
-STREAK_WAVELENGTH, STREAK_ASPECT, STREAK_COLOR = 5.0, 0.07, 1.1  # Of stains that run down rock: meters, width by height, contrast.
-STONE_RISE = 0.1  # By how much z of the normal stones reach beyond the border of rock debris.
-STONE_SHADES, STONE_SHADE = (0.35, 0.85), 0.55  # Brightness of stones, and the factor of it between them.
-RIPPLE_STEEPNESS = 0.8  # z of the normal below which the wind makes no ripples.
-LEE_RIPPLES = 0.3  # Strength of ripples behind the crests of dunes, relative to that on the side of the wind, which blows along x.
-CALM_RIPPLES = 0.35  # Strength of ripples in some patches, relative to that in others.
+SOFT_BUMPS = 0.3  # Height of bumps on soil, sand and snow, relative to those on rock.
+# Contrast of bumps on each kind of ground; rock has cracks, too.
+ROCK_CONTRAST, SOIL_CONTRAST, SAND_CONTRAST, SNOW_CONTRAST = 0.55, 0.8, 0.45, 0.35
+DEBRIS_SHADE = 0.7  # Brightness of the ground between the stones of rock debris.
+# Bands with pebbles: meters, the noise at their borders, and how many pebbles there are between them.
+TRACK_WAVELENGTH, TRACK_WIDTH, BETWEEN_TRACKS = 11.0, 0.5, 0.12
 INPUTS = (
     ("Position", "Vector"), ("Normal", "Vector"), ("Rock", "Color"), ("Strata", "Color"), ("Scree", "Color"), ("Grass", "Color"),
     ("Undergrowth", "Color"), ("Dry Grass", "Color"), ("Sand", "Color"), ("Snow", "Color"), ("Water", "Color"), ("Rock Slope", "Float"),
     ("Scree Width", "Float"), ("Snow Height", "Float"), ("Sand Height", "Float"), ("Water Height", "Float"), ("Clarity", "Float"),
     ("Size", "Float"), ("Height Blend", "Float"), ("Height Noise", "Float"), ("Slope Blend", "Float"), ("Slope Noise", "Float"),
     ("Noise Scale", "Float"), ("Strata Scale", "Float"), ("Color Noise", "Float"), ("Roughness", "Float"), ("Bump Size", "Float"),
-    ("Bump Strength", "Float"), ("Distant Bumps", "Float"), ("Meter", "Float"), ("Stones", "Float"), ("Ripples", "Float"),
+    ("Bump Strength", "Float"), ("Distant Bumps", "Float"), ("Meter", "Float"), ("Middle Height", "Float"), ("Moisture", "Float"),
+    ("Stones", "Float"), ("Pebbles", "Float"), ("Blades", "Float"), ("Ripples", "Float"),
 )  # fmt: skip
-OUTPUTS = ("Color", "Color"), ("Roughness", "Float"), ("Normal", "Vector")
+OUTPUTS = ("Shader", "Shader"), ("Color", "Color")
 LAYERS = ("Rock", "Strata", "Scree", "Grass", "Undergrowth", "Dry Grass", "Sand", "Snow")  # The inputs that are colors of the ground.
 DEFAULTS = {
     "Rock": (0.17, 0.14, 0.115, 1.0),
@@ -64,6 +66,10 @@ DEFAULTS = {
     "Distant Bumps": 1.0,  # how much of the large bumps there is, where distant ground has fewer samples
     "Meter": 1.0,  # length of a meter, of which stones, cracks and ripples have their sizes
     "Stones": 0.03,  # fraction of the stones of rock debris that also lie on level ground
+    "Middle Height": 0.0,  # where the ground is neither moist as valleys nor dry as summits
+    "Moisture": 0.0,  # from -1, where all grass is dry, to 1, where all is undergrowth
+    "Pebbles": 0.0,  # fraction of places with pebbles, in bands on sand and soil
+    "Blades": 1.0,  # how far blades of grass are seen nearby
     "Ripples": 0.0,  # height of ripples that the wind makes of sand
 }
 
@@ -80,11 +86,7 @@ def add_ground(
         builder.connect(value, group.inputs[socket])
     builder.connect(position, group.inputs["Position"])
     builder.connect(normal, group.inputs["Normal"])
-    principled = builder.node("ShaderNodeBsdfPrincipled")
-    builder.connect(group.outputs["Color"], principled.inputs["Base Color"])
-    builder.connect(group.outputs["Roughness"], principled.inputs["Roughness"])
-    builder.connect(group.outputs["Normal"], principled.inputs["Normal"])
-    return principled.outputs[0]
+    return group.outputs["Shader"]
 
 
 def _ensure_ground_group() -> bpy.types.NodeTree:
@@ -95,91 +97,130 @@ def _fill_ground_group(builder: NodeBuilder) -> None:
     for item in builder.tree.interface.items_tree:
         if item.item_type == "SOCKET" and item.in_out == "INPUT" and item.name in DEFAULTS:
             item.default_value = DEFAULTS[item.name]
-    inputs = builder.node("NodeGroupInput").outputs
-    detail = GroundDetail(builder, inputs)
-    noise = add_noise(builder, inputs["Position"], builder.math("DIVIDE", inputs["Noise Scale"], inputs["Size"]), 3.0)
-    layers = _mix_layers(builder, inputs, detail, noise)
-    shore = builder.math("ADD", inputs["Water Height"], builder.math("MULTIPLY", inputs["Bump Size"], 2.0))
-    position_z = builder.separate(inputs["Position"])[2]
-    uneven_z = builder.math("ADD", position_z, builder.math("MULTIPLY", detail.pattern, inputs["Bump Size"]))
-    is_dry = ramp(builder, uneven_z, shore, inputs["Bump Size"])
-    color = builder.vector("SCALE", layers.color, between(builder, is_dry, WET_COLOR))
+    ground = GroundGroup(builder)
+    soil, sand, rock = ground.add_soil(), ground.add_sand(), ground.add_rock()
     output = builder.node("NodeGroupOutput")
-    depth = builder.math("MAXIMUM", builder.math("SUBTRACT", inputs["Water Height"], position_z), 0.0)
-    passed = builder.attenuate(builder.math("DIVIDE", depth, inputs["Clarity"]))
-    builder.connect(builder.mix(passed, inputs["Water"], color), output.inputs["Color"])
-    roughness = builder.math("MULTIPLY", inputs["Roughness"], between(builder, is_dry, WET_ROUGHNESS))
-    builder.connect(roughness, output.inputs["Roughness"])
-    builder.connect(detail.add_normal(layers.is_rock, layers.is_stone, layers.has_ripples), output.inputs["Normal"])
+    color = builder.mix(ground.is_rock, builder.mix(ground.is_sand, soil.color, sand.color), rock.color)
+    builder.connect(color, output.inputs["Color"])
+    surface = ground.mix_shaders(ground.is_sand, ground.shade(soil), ground.shade(sand))
+    surface = ground.mix_shaders(ground.is_rock, surface, ground.shade(rock))
+    is_diffuse = builder.node("ShaderNodeLightPath").outputs["Is Diffuse Ray"]
+    builder.connect(ground.mix_shaders(is_diffuse, surface, ground.add_plain()), output.inputs["Shader"])
 
 
-@dataclass(frozen=True)
-class Layers:
-    """The layers of the ground at a position, mixed.
+class GroundGroup:
+    """The kinds of ground at the position that is shaded, and how much there is of each.
 
     Attributes:
-        color: of all.
-        is_rock, is_stone: fractions of rock and of stones on the ground.
-        has_ripples: strength of ripples of sand.
+        is_rock: part of rock.
+        is_sand: part of sand of what is not rock.
     """
 
-    color: bpy.types.NodeSocket
-    is_rock: bpy.types.NodeSocket
-    is_stone: bpy.types.NodeSocket
-    has_ripples: bpy.types.NodeSocket
+    def __init__(self, builder: NodeBuilder) -> None:
+        self._builder = builder
+        self._inputs = inputs = builder.node("NodeGroupInput").outputs
+        self._noise = noise = GroundNoise(builder, inputs)
+        self._bumps = bumps = GroundBumps(noise)
+        variation = add_noise(builder, inputs["Position"], builder.math("DIVIDE", inputs["Noise Scale"], inputs["Size"]), 3.0)
+        # What is higher reaches farther beyond the border of its layer.
+        self._uneven = builder.multiply_add(bumps.pattern, BREAKUP, variation)
+        self._z = builder.separate(inputs["Position"])[2]
+        height = builder.multiply_add(self._uneven, builder.math("MULTIPLY", inputs["Size"], inputs["Height Noise"]), self._z)
+        blend = builder.math("MULTIPLY", inputs["Size"], inputs["Height Blend"])
+        self._normal_z = builder.multiply_add(self._uneven, inputs["Slope Noise"], noise.normal[2])
+        self._is_snow = ramp(builder, height, inputs["Snow Height"], blend)
+        self.is_rock = ramp(builder, self._normal_z, inputs["Rock Slope"], inputs["Slope Blend"], 1.0, 0.0)
+        self.is_sand = ramp(builder, height, inputs["Sand Height"], blend, 1.0, 0.0)
+        self._tone = builder.multiply_add(variation, inputs["Color Noise"], 1.0)
+        self._add_water()
 
+    def _add_water(self) -> None:
+        builder, inputs = self._builder, self._inputs
+        shore = builder.math("ADD", inputs["Water Height"], builder.math("MULTIPLY", inputs["Bump Size"], 2.0))
+        uneven = builder.multiply_add(self._bumps.pattern, inputs["Bump Size"], self._z)
+        is_dry = ramp(builder, uneven, shore, inputs["Bump Size"])
+        self._wetness = between(builder, is_dry, WET_COLOR)
+        self._roughness = builder.math("MULTIPLY", inputs["Roughness"], between(builder, is_dry, WET_ROUGHNESS))
+        depth = builder.math("MAXIMUM", builder.math("SUBTRACT", inputs["Water Height"], self._z), 0.0)
+        self._passed = builder.attenuate(builder.math("DIVIDE", depth, inputs["Clarity"]))
 
-def _mix_layers(builder: NodeBuilder, inputs: bpy.types.bpy_prop_collection, detail: GroundDetail, noise: bpy.types.NodeSocket) -> Layers:
-    """Choose the layers by the height and the normal. What is higher in the detail of a layer reaches farther beyond its border.
+    def add_rock(self) -> Layer:
+        """Return rock."""
+        rock = add_rock(self._noise, self._bumps)
+        return Layer(self._finish(rock.color, ROCK_CONTRAST), rock.bumps)
 
-    noise: variation by position, mean 0.
-    """
-    normal_x, _, plain_z = builder.separate(builder.vector_transform(inputs["Normal"], "NORMAL", "WORLD", "OBJECT"))
-    uneven = builder.math("ADD", builder.math("MULTIPLY", detail.pattern, BREAKUP), noise)
-    height_noise = builder.math("MULTIPLY", uneven, builder.math("MULTIPLY", inputs["Size"], inputs["Height Noise"]))
-    height = builder.math("ADD", builder.separate(inputs["Position"])[2], height_noise)
-    normal_z = builder.math("ADD", plain_z, builder.math("MULTIPLY", uneven, inputs["Slope Noise"]))
-    height_blend = builder.math("MULTIPLY", inputs["Size"], inputs["Height Blend"])
+    def add_sand(self) -> Layer:
+        """Return sand with ripples, pebbles and stones."""
+        sand = add_sand(self._noise)
+        sand = self._scatter(Layer(sand.color, (self._soft_bumps(), *sand.bumps)))
+        return Layer(self._finish(sand.color, SAND_CONTRAST), sand.bumps)
 
-    patches = detail.noise(PATCH_WAVELENGTH, PATCH_OCTAVES, inputs["Meter"])
-    patches = builder.math("ADD", patches, builder.math("MULTIPLY", detail.fine, 0.5))
-    ground = builder.mix(ramp(builder, patches, 0.08, 0.12), inputs["Grass"], inputs["Dry Grass"])
-    ground = builder.mix(ramp(builder, uneven, -0.06, 0.2), inputs["Undergrowth"], ground)
-    is_sand = builder.math("SUBTRACT", 1.0, ramp(builder, height, inputs["Sand Height"], height_blend))
-    ground = builder.mix(is_sand, ground, inputs["Sand"])
-    is_snow = ramp(builder, height, inputs["Snow Height"], height_blend)
-    ground = builder.mix(is_snow, ground, inputs["Snow"])
+    def add_soil(self) -> Layer:
+        """Return soil with grass, snow and stones."""
+        builder = self._builder
+        turf = add_turf(self._noise, self._bumps, self._uneven)
+        soil = self._scatter(Layer(builder.mix(self._is_snow, turf, self._inputs["Snow"]), (self._soft_bumps(),)))
+        return Layer(self._finish(soil.color, between(builder, self._is_snow, SOIL_CONTRAST, SNOW_CONTRAST)), soil.bumps)
 
-    start_of_scree = builder.math("ADD", inputs["Rock Slope"], inputs["Scree Width"])
-    reach = builder.math("SUBTRACT", normal_z, builder.math("MULTIPLY", detail.stone_height, STONE_RISE))
-    is_scree = builder.math("SUBTRACT", 1.0, ramp(builder, reach, start_of_scree, inputs["Slope Blend"]))
-    is_scree = builder.math("MULTIPLY", is_scree, builder.math("SUBTRACT", 1.0, is_snow))
-    is_rock = builder.math("SUBTRACT", 1.0, ramp(builder, normal_z, inputs["Rock Slope"], inputs["Slope Blend"]))
-    # Loose stones lie in clumps, where the ground is uneven.
-    loose = builder.math("SUBTRACT", 1.0, builder.math("MULTIPLY", inputs["Stones"], ramp(builder, uneven, 0.1, 0.25)))
-    is_loose = builder.math("GREATER_THAN", detail.stone_random, loose)
-    is_loose = builder.math("MULTIPLY", is_loose, builder.math("MULTIPLY", detail.stone_height, 8.0, True))
-    is_loose = builder.math("MULTIPLY", is_loose, builder.math("SUBTRACT", 1.0, is_snow))
-    is_stone = builder.math("MULTIPLY", builder.math("MAXIMUM", is_scree, is_loose), builder.math("SUBTRACT", 1.0, is_rock))
-    shade = between(builder, builder.math("MULTIPLY", detail.stone_height, 2.0, True), STONE_SHADE)
-    shade = builder.math("MULTIPLY", shade, between(builder, detail.stone_random, *STONE_SHADES))
-    ground = builder.mix(is_stone, ground, builder.vector("SCALE", inputs["Scree"], shade))
+    def add_plain(self) -> bpy.types.NodeSocket:
+        """Return the shader of all ground without details."""
+        builder, inputs = self._builder, self._inputs
+        blend = builder.math("MULTIPLY", inputs["Size"], 0.1)
+        ground = builder.mix(ramp(builder, self._z, inputs["Sand Height"], blend), inputs["Sand"], inputs["Grass"])
+        ground = builder.mix(ramp(builder, self._z, inputs["Snow Height"], blend), ground, inputs["Snow"])
+        ground = builder.mix(ramp(builder, self._noise.normal[2], inputs["Rock Slope"], 0.1), inputs["Rock"], ground)
+        diffuse = builder.node("ShaderNodeBsdfDiffuse")
+        builder.connect(builder.mix(self._passed, inputs["Water"], ground), diffuse.inputs["Color"])
+        return diffuse.outputs[0]
 
-    streaks = builder.vector("MULTIPLY", inputs["Position"], (1.0, 1.0, STREAK_ASPECT))
-    streaks = builder.math("MULTIPLY", detail.noise(STREAK_WAVELENGTH, 3, inputs["Meter"], streaks, part=detail.is_steep), STREAK_COLOR)
-    rock = builder.mix(ramp(builder, detail.strata, 0.0, 0.1), inputs["Rock"], inputs["Strata"])
-    rock = builder.vector("SCALE", rock, builder.math("MULTIPLY", builder.math("ADD", streaks, 1.0), detail.rock_shade))
-    color = builder.mix(is_rock, ground, rock)
+    def _soft_bumps(self) -> tuple[bpy.types.NodeSocket, float]:
+        return self._bumps.height, SOFT_BUMPS
 
-    is_smooth = builder.math("MULTIPLY", builder.math("MAXIMUM", is_sand, is_snow), builder.math("SUBTRACT", 1.0, is_rock))
-    is_even = builder.math("ADD", is_smooth, builder.math("MULTIPLY", is_rock, ROCK_EVENNESS))
-    contrast = between(builder, is_even, 1.0, SMOOTH_CONTRAST)
-    noise_factor = builder.math("ADD", builder.math("MULTIPLY", noise, inputs["Color Noise"]), 1.0)
-    lee = builder.math("MULTIPLY", ramp(builder, normal_x, 0.1, 0.25), 1.0 - LEE_RIPPLES)
-    has_ripples = builder.math("MULTIPLY", builder.math("SUBTRACT", 1.0, lee), ramp(builder, plain_z, RIPPLE_STEEPNESS + 0.05, 0.05))
-    has_ripples = builder.math("MULTIPLY", has_ripples, between(builder, ramp(builder, patches, 0.0, 0.2), CALM_RIPPLES))
-    has_ripples = builder.math("MULTIPLY", has_ripples, builder.math("MULTIPLY", is_sand, builder.math("SUBTRACT", 1.0, is_stone)))
-    brightness = builder.math("ADD", builder.math("MULTIPLY", detail.shade, contrast), 1.0)
-    brightness = builder.math("ADD", builder.math("MULTIPLY", detail.ripple_shade, has_ripples), brightness)
-    color = builder.vector("SCALE", color, builder.math("MULTIPLY", noise_factor, brightness))
-    return Layers(color, is_rock, is_stone, has_ripples)
+    def _scatter(self, ground: Layer) -> Layer:
+        """Return ground with pebbles, stones of rock debris near rock, and loose stones in clumps, where the ground is uneven."""
+        builder, inputs, noise = self._builder, self._inputs, self._noise
+        is_free = invert(builder, self._is_snow)
+        tracks = noise.noise(builder.math("MULTIPLY", inputs["Meter"], TRACK_WAVELENGTH), 4, dimensions="2D")
+        tracks = ramp(builder, builder.math("ABSOLUTE", tracks), 0.5 * TRACK_WIDTH, 0.5 * TRACK_WIDTH, 1.0, BETWEEN_TRACKS)
+        density = builder.math("MULTIPLY", builder.math("MULTIPLY", tracks, is_free), inputs["Pebbles"])
+        ground = add_stones(noise, ground, PEBBLES, inputs["Scree"], density, inputs["Pebbles"])
+        width = builder.math("MULTIPLY", inputs["Scree Width"], 0.5)
+        start = builder.math("ADD", inputs["Rock Slope"], builder.math("MULTIPLY", inputs["Scree Width"], 0.75))
+        is_scree = builder.math("MULTIPLY", ramp(builder, self._normal_z, start, width, 1.0, 0.0), is_free)
+        debris = builder.vector("SCALE", inputs["Scree"], DEBRIS_SHADE)
+        ground = Layer(builder.mix(ramp(builder, is_scree, 0.5, 0.25), ground.color, debris), ground.bumps)
+        clumps = builder.math("MULTIPLY", ramp(builder, self._uneven, 0.1, 0.25), is_free)
+        density = builder.math("MAXIMUM", is_scree, builder.math("MULTIPLY", clumps, inputs["Stones"]))
+        return add_stones(noise, ground, COBBLES, inputs["Scree"], density)
+
+    def _finish(self, color: bpy.types.NodeSocket, contrast: SocketOrValue) -> bpy.types.NodeSocket:
+        """Return a color that varies with position, darker in the hollows of bumps and where it is wet, and that of water below it."""
+        builder = self._builder
+        brightness = builder.multiply_add(self._bumps.shade, contrast, 1.0)
+        brightness = builder.math("MULTIPLY", builder.math("MULTIPLY", brightness, self._tone), self._wetness)
+        return builder.mix(self._passed, self._inputs["Water"], builder.vector("SCALE", color, brightness))
+
+    def shade(self, layer: Layer) -> bpy.types.NodeSocket:
+        """Return the shader of a layer."""
+        builder, normal = self._builder, self._inputs["Normal"]
+        for height, strength in layer.bumps:
+            bump = builder.node("ShaderNodeBump")
+            bump.inputs["Distance"].default_value = 1.0
+            builder.connect(builder.math("MULTIPLY", self._inputs["Bump Strength"], strength), bump.inputs["Strength"])
+            builder.connect(height, bump.inputs["Height"])
+            builder.connect(normal, bump.inputs["Normal"])
+            normal = bump.outputs["Normal"]
+        principled = builder.node("ShaderNodeBsdfPrincipled")
+        builder.connect(layer.color, principled.inputs["Base Color"])
+        builder.connect(self._roughness, principled.inputs["Roughness"])
+        builder.connect(normal, principled.inputs["Normal"])
+        return principled.outputs[0]
+
+    def mix_shaders(
+        self, fraction: bpy.types.NodeSocket, first: bpy.types.NodeSocket, second: bpy.types.NodeSocket
+    ) -> bpy.types.NodeSocket:
+        """Return (1 - fraction) of the first shader and `fraction` of the second."""
+        mix = self._builder.node("ShaderNodeMixShader")
+        for operand, target in zip((fraction, first, second), mix.inputs, strict=True):
+            self._builder.connect(operand, target)
+        return mix.outputs[0]

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import bpy
 
-from .ground_detail import PIXEL, add_noise, between, ramp
+from .ground_noise import PIXEL, add_noise, between, ramp
 from .node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
 
 GROUP_NAME, GROUP_VERSION = "Farfield Lava", 1
@@ -37,9 +37,8 @@ def add_emission(
     normal: bpy.types.NodeSocket,
     values: Mapping[str, SocketOrValue],
     shader: bpy.types.NodeSocket,
-) -> None:
-    """Let a Principled BSDF, whose output is `shader`, emit the light of lava at a `position` relative to the terrain, with a
-    `normal` in world space.
+) -> bpy.types.NodeSocket:
+    """Return a `shader` that also emits the light of lava, at a `position` relative to the terrain, with a `normal` in world space.
 
     values: of the inputs, other than `DEFAULTS`.
     """
@@ -49,8 +48,11 @@ def add_emission(
         builder.connect(value, node.inputs[socket])
     builder.connect(position, node.inputs["Position"])
     builder.connect(normal, node.inputs["Normal"])
-    builder.connect(node.outputs["Emission"], shader.node.inputs["Emission Color"])
-    shader.node.inputs["Emission Strength"].default_value = 1.0
+    emission, total = builder.node("ShaderNodeEmission"), builder.node("ShaderNodeAddShader")
+    builder.connect(node.outputs["Emission"], emission.inputs["Color"])
+    builder.connect(shader, total.inputs[0])
+    builder.connect(emission.outputs[0], total.inputs[1])
+    return total.outputs[0]
 
 
 def _fill_group(builder: NodeBuilder) -> None:

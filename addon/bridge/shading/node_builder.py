@@ -48,6 +48,12 @@ class NodeBuilder:
         self.connect(second, node.inputs[1])
         return node.outputs[0]
 
+    def multiply_add(self, first: SocketOrValue, second: SocketOrValue, third: SocketOrValue) -> bpy.types.NodeSocket:
+        """Return first * second + third of three numbers (Math node)."""
+        value = self.math("MULTIPLY_ADD", first, second)
+        self.connect(third, value.node.inputs[2])
+        return value
+
     def vector(self, operation: str, first: SocketOrValue, second: SocketOrValue = (0.0, 0.0, 0.0)) -> bpy.types.NodeSocket:
         """Return a vector, or a number for DOT_PRODUCT and LENGTH, computed from two vectors; for SCALE, `second` is a number."""
         node = self.node("ShaderNodeVectorMath", {"operation": operation})
