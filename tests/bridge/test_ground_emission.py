@@ -33,4 +33,4 @@ def test_cracks_emit_red_light_between_dark_plates_where_the_ground_is_low(tmp_p
     assert red.max() > 0.5 and red.mean() > 2.0 * green.mean() > 4.0 * blue.mean() and np.percentile(red, 10.0) < 0.1 * red.max()
     assert render_in_the_dark(tmp_path, "lava", 30.0, level=30.0).max() > 0.5
     assert render_in_the_dark(tmp_path, "lava", 10.0).max() < 1e-4
-    assert not render_in_the_dark(tmp_path, "canyon", 0.0).any()
+    assert render_in_the_dark(tmp_path, "canyon", 0.0).max() < 1e-4

@@ -233,7 +233,7 @@ def test_a_height_map_is_colored_by_its_ground_image(tmp_path):
     }
     scale = next(node for node in nodes if node.type == "VECT_MATH" and node.operation == "MULTIPLY")
     assert np.allclose(scale.inputs[1].default_value, [1.0 / 64.0, 1.0 / 32.0, 0.0])
-    assert ground_group(terrain).outputs["Color"].is_linked
+    assert ground_group(terrain).outputs["Shader"].is_linked
     with pytest.raises(RuntimeError, match="does not exist; check the path"):
         create(terrain="heights", **(files | {"source_color": str(tmp_path / "nowhere.png")}))
 
