@@ -159,7 +159,8 @@ class GroundGroup:
         """Return soil with grass, snow and stones."""
         builder = self._builder
         turf = add_turf(self._noise, self._bumps, self._uneven)
-        soil = self._scatter(Layer(builder.mix(self._is_snow, turf, self._inputs["Snow"]), (self._soft_bumps(),)))
+        bumps = [(height, builder.math("MULTIPLY", invert(builder, self._is_snow), strength)) for height, strength in turf.bumps]
+        soil = self._scatter(Layer(builder.mix(self._is_snow, turf.color, self._inputs["Snow"]), (self._soft_bumps(), *bumps)))
         return Layer(self._finish(soil.color, between(builder, self._is_snow, SOIL_CONTRAST, SNOW_CONTRAST)), soil.bumps)
 
     def add_plain(self) -> bpy.types.NodeSocket:

@@ -2,7 +2,7 @@
 
 import bpy
 
-from .ground_detail import GroundBumps
+from .ground_detail import GroundBumps, Layer
 from .ground_noise import NOISE_RANGE, GroundNoise, add_raw_noise, ramp
 
 PATCH_WAVELENGTH, PATCH_OCTAVES = 120.0, 7  # Of moist and dry places, meters.
@@ -15,6 +15,8 @@ TUFT_WAVELENGTH, TUFT_OCTAVES, TUFT_GAIN, TAPS, TAP_LENGTH = 0.1, 4, 0.75, 4, 0.
 ROOT_SHADE, TIP_SHADE = 0.58, 1.68
 BLADE_LIMITS, BLADE_SHARPNESS = (-0.45, 0.35), 1.8  # Noise above which there are blades, at the lowest and at the highest tap.
 DRY_TIPS = 0.3
+# Tussocks, which are seen where blades are too small: meters, octaves, and their contrast and height by noise between -0.5 and 0.5.
+TUSSOCK_WAVELENGTH, TUSSOCK_OCTAVES, TUSSOCK_GAIN, TUSSOCK_CONTRAST, TUSSOCK_HEIGHT = 3.0, 5, 0.7, 0.9, 0.5
 
 
 def add_moisture(noise: GroundNoise, bumps: GroundBumps, uneven: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
@@ -35,15 +37,21 @@ def add_moisture(noise: GroundNoise, bumps: GroundBumps, uneven: bpy.types.NodeS
     return moisture
 
 
-def add_turf(noise: GroundNoise, bumps: GroundBumps, uneven: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
-    """Return the color of soil and what grows on it. uneven: variation by position, mean 0."""
+def add_turf(noise: GroundNoise, bumps: GroundBumps, uneven: bpy.types.NodeSocket) -> Layer:
+    """Return soil and what grows on it. uneven: variation by position, mean 0."""
     builder, inputs = noise.builder, noise.inputs
     moisture = add_moisture(noise, bumps, uneven)
     color = builder.mix(ramp(builder, moisture, DRY, SOFTNESS), inputs["Dry Grass"], inputs["Grass"])
     color = builder.mix(ramp(builder, moisture, WET, SOFTNESS, 0.0, WETTEST), color, inputs["Undergrowth"])
     shade, tips = _add_blades(noise)
     color = builder.mix(builder.math("MULTIPLY", tips, DRY_TIPS), color, inputs["Dry Grass"])
-    return builder.vector("SCALE", color, shade)
+    tussocks = noise.noise(
+        builder.math("MULTIPLY", inputs["Meter"], TUSSOCK_WAVELENGTH), TUSSOCK_OCTAVES, gain=TUSSOCK_GAIN, dimensions="2D"
+    )
+    contrast = builder.math("MULTIPLY", inputs["Blades"], NOISE_RANGE * TUSSOCK_CONTRAST)
+    shade = builder.math("MULTIPLY", shade, builder.multiply_add(tussocks, contrast, 1.0))
+    height = builder.math("MULTIPLY", inputs["Meter"], builder.math("MULTIPLY", inputs["Blades"], NOISE_RANGE * TUSSOCK_HEIGHT))
+    return Layer(builder.vector("SCALE", color, shade), ((builder.math("MULTIPLY", tussocks, height), 1.0),))
 
 
 def _add_blades(noise: GroundNoise) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]:
