@@ -3,8 +3,11 @@
 import math
 import sys
 import tempfile
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 
@@ -40,6 +43,32 @@ LOOK_AHEAD = 14.0  # scene units
 LIGHT_WATTS = 9000.0
 SIDE_LIGHT = 1.95  # From the direction of a view to that of the Sun, clockwise, radians.
 MAX_OUTSIDE = 2  # voxels of the search grid without a roof above
+
+
+class WideView(NamedTuple):
+    """A picture as wide as a page. position, target: (3,), scene units. scattered: the kind of plants and rocks, none if it is empty."""
+
+    settings: ClipboxSettings
+    position: tuple[float, float, float]
+    target: tuple[float, float, float]
+    scattered: str = ""
+    light: SkySettings | None = None
+
+
+_SETTINGS = partial(ClipboxSettings, resolution=192, boxes=7, voxel_size=0.5)
+WIDE_VIEWS = {
+    "landscape": WideView(
+        _SETTINGS(terrain="alps", scale=0.25, seed=5, boxes=8, voxel_size=1.0), (300.0, -400.0, 172.0), (-160.0, -381.0, 160.0), "forest"
+    ),
+    "canyon": WideView(
+        _SETTINGS(terrain="canyon", boxes=8), (-280.0, -140.0, 345.0), (-620.0, 20.0, 260.0), "", SkySettings(light="morning", haze=0.2)
+    ),
+    "lava": WideView(_SETTINGS(terrain="lava"), (136.0, -1482.0, 14.0), (-492.0, -1020.0, 62.0), "", SkySettings(light="golden_hour")),
+    "desert": WideView(_SETTINGS(terrain="mesas", seed=2), (256.0, -208.0, -45.0), (420.0, 157.0, -35.0)),
+    "coast": WideView(_SETTINGS(terrain="coast", water=True, seed=0, voxel_size=0.75), (1050.0, -500.0, 30.0), (700.0, 0.0, 20.0)),
+    "woods": WideView(_SETTINGS(terrain="hills", seed=3, resolution=128), (300.0, 300.0, 26.6), (-200.0, 320.0, 11.6), "forest"),
+    "steppe": WideView(_SETTINGS(terrain="mesas", seed=2, resolution=128), (256.0, -208.0, -63.2), (420.0, 157.0, -61.2), "steppe"),
+}
 
 
 def cave_path(frames: int) -> tuple[np.ndarray, np.ndarray]:
@@ -100,34 +129,14 @@ def walk(frames: int, width: int, samples: int, folder: Path) -> list[Path]:
     return paths
 
 
-def landscape(path: Path, width: int, samples: int) -> None:
-    """Render one view of mountains."""
-    settings = ClipboxSettings(terrain="alps", scale=0.25, seed=5, resolution=192, boxes=8, voxel_size=1.0)
-    _render_view(path, width, samples, settings, np.array([300.0, -400.0, 172.0]), np.array([-160.0, -381.0, 160.0]), scattered="forest")
+def wide_view(name: str) -> Callable[[Path, int, int], None]:
+    """Return the function that renders a view of `WIDE_VIEWS`, by the path of the picture, its width in pixels, and samples per pixel."""
+    view = WIDE_VIEWS[name]
 
+    def render(path: Path, width: int, samples: int) -> None:
+        _render_view(path, width, samples, view.settings, np.array(view.position), np.array(view.target), None, view.scattered, view.light)
 
-def desert(path: Path, width: int, samples: int) -> None:
-    """Render one view of table mountains."""
-    settings = ClipboxSettings(terrain="mesas", seed=2, resolution=192, boxes=7, voxel_size=0.5)
-    _render_view(path, width, samples, settings, np.array([256.0, -208.0, -45.0]), np.array([420.0, 157.0, -35.0]))
-
-
-def coast(path: Path, width: int, samples: int) -> None:
-    """Render one view of cliffs and the sea."""
-    settings = ClipboxSettings(terrain="coast", water=True, seed=0, resolution=192, boxes=7, voxel_size=0.75)
-    _render_view(path, width, samples, settings, np.array([1050.0, -500.0, 30.0]), np.array([700.0, 0.0, 20.0]))
-
-
-def woods(path: Path, width: int, samples: int) -> None:
-    """Render one view of hills with conifers."""
-    settings = ClipboxSettings(terrain="hills", seed=3, resolution=128, boxes=7, voxel_size=0.5)
-    _render_view(path, width, samples, settings, np.array([300.0, 300.0, 26.6]), np.array([-200.0, 320.0, 11.6]), scattered="forest")
-
-
-def steppe(path: Path, width: int, samples: int) -> None:
-    """Render one view of table mountains from the plain, with what grows there."""
-    settings = ClipboxSettings(terrain="mesas", seed=2, resolution=128, boxes=7, voxel_size=0.5)
-    _render_view(path, width, samples, settings, np.array([256.0, -208.0, -63.2]), np.array([420.0, 157.0, -61.2]), scattered="steppe")
+    return render
 
 
 def copses(path: Path, width: int, samples: int) -> None:
@@ -206,4 +215,4 @@ def _set_up_scene(width: int, samples: int) -> tuple[bpy.types.Object, bpy.types
     return camera, point_light
 
 
-VIEWS = {"landscape": landscape, "desert": desert, "coast": coast, "woods": woods, "steppe": steppe, "copses": copses}
+VIEWS = {name: wide_view(name) for name in WIDE_VIEWS} | {"copses": copses}
