@@ -131,7 +131,7 @@ KINDS = {
     "steppe": {"Dry Tufts": DRY_TUFTS, "Bushes": BUSHES, "Stones": STONES},
 }
 STONE, GREEN, BARK = (0.2, 0.18, 0.16), (0.09, 0.12, 0.035), (0.07, 0.05, 0.035)  # Scene-linear.
-GRASS_BRIGHTNESS, LEAF_BRIGHTNESS = 1.9, 1.7  # Of plants, relative to the ground that shows them from a distance.
+GRASS_BRIGHTNESS, LEAF_BRIGHTNESS = 1.9, 2.4  # Of plants, relative to the ground that shows them from a distance.
 
 
 @dataclass(frozen=True)
