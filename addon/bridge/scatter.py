@@ -131,7 +131,7 @@ KINDS = {
     "steppe": {"Dry Tufts": DRY_TUFTS, "Bushes": BUSHES, "Stones": STONES},
 }
 STONE, GREEN, BARK = (0.2, 0.18, 0.16), (0.09, 0.12, 0.035), (0.07, 0.05, 0.035)  # Scene-linear.
-GRASS_BRIGHTNESS, LEAF_BRIGHTNESS = 1.9, 2.4  # Of plants, relative to the ground that shows them from a distance.
+GRASS_BRIGHTNESS, LEAF_BRIGHTNESS = 1.9, 2.8  # Of plants, relative to the ground that shows them from a distance.
 
 
 @dataclass(frozen=True)
@@ -290,7 +290,7 @@ def _create_model(name: str, seed: int) -> Model:
     if name == "Grass":
         return plants.grass(seed, 34, 0.13, 0.24)
     if name == "Grass Patch":
-        return plants.grass(seed, 260, 0.62, 0.26)
+        return plants.grass(seed, 260, 0.68, 0.28, 0.6)
     if name in ("Bush", "Far Bush"):
         return plants.bush(seed, 2000 if name == "Bush" else 260, 1.0)
     if name in ("Conifer", "Far Conifer"):

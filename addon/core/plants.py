@@ -33,12 +33,17 @@ class Model:
     shades: np.ndarray
 
 
-def grass(seed: int, blades: int, radius: float, height: float) -> Model:
-    """Return a tuft of `blades` in a circle with a radius, which droop outwards and are darker at the ground."""
+def grass(seed: int, blades: int, radius: float, height: float, taper: float = 0.0) -> Model:
+    """Return a tuft of `blades` in a circle with a radius, which droop outwards and are darker at the ground.
+
+    taper: by how much blades are shorter at the border of the circle than at its center, where they are denser then; large tufts next to
+    each other grow together so.
+    """
     random = np.random.default_rng([seed, 1])
-    angle, place = random.uniform(0.0, 2.0 * np.pi, blades), radius * np.sqrt(random.random(blades))
+    angle, fraction = random.uniform(0.0, 2.0 * np.pi, blades), random.random(blades) ** (0.5 + 0.3 * taper)
+    place = radius * fraction
     roots = np.column_stack([place * np.cos(angle), place * np.sin(angle), np.full(blades, -0.02)])
-    lengths = height * random.uniform(0.45, 1.1, blades)
+    lengths = height * random.uniform(0.45, 1.1, blades) * (1.0 - taper * fraction**2)
     lean = angle + random.normal(0.0, 0.9, blades)
     outward = np.column_stack([np.cos(lean), np.sin(lean), np.zeros(blades)])
     droop = random.uniform(0.15, 0.75, blades)
