@@ -28,7 +28,7 @@ class SkySettings(Settings):
     )
     clouds: float = setting(0.35, "How much of the sky clouds cover", minimum=0.0, maximum=1.0, unit=Unit.FRACTION)
     haze: float = setting(
-        0.3, "How much of the light of the farthest ground the air replaces by its own", minimum=0.0, maximum=0.99, unit=Unit.FRACTION
+        0.2, "How much of the light of the farthest ground the air replaces by its own", minimum=0.0, maximum=0.99, unit=Unit.FRACTION
     )
 
 

@@ -61,7 +61,7 @@ WIDE_VIEWS = {
         _SETTINGS(terrain="alps", scale=0.25, seed=5, boxes=8, voxel_size=1.0), (300.0, -400.0, 172.0), (-160.0, -381.0, 160.0), "forest"
     ),
     "canyon": WideView(
-        _SETTINGS(terrain="canyon", boxes=8), (-280.0, -140.0, 345.0), (-620.0, 20.0, 260.0), "", SkySettings(light="morning", haze=0.2)
+        _SETTINGS(terrain="canyon", boxes=8), (-280.0, -140.0, 345.0), (-620.0, 20.0, 260.0), "", SkySettings(light="morning")
     ),
     "lava": WideView(_SETTINGS(terrain="lava"), (136.0, -1482.0, 14.0), (-492.0, -1020.0, 62.0), "", SkySettings(light="golden_hour")),
     "desert": WideView(_SETTINGS(terrain="mesas", seed=2), (256.0, -208.0, -45.0), (420.0, 157.0, -35.0)),
