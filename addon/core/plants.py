@@ -60,18 +60,18 @@ def grass(seed: int, blades: int, radius: float, height: float, taper: float = 0
 
 
 def bush(seed: int, leaves: int, height: float) -> Model:
-    """Return a bush: twigs from the ground, and leaves around their ends."""
+    """Return a bush: twigs from the ground, and leaves around their ends. Some are low and wide, others slender."""
     random = np.random.default_rng([seed, 2])
-    twigs = 14
+    twigs, spread = 24, random.uniform(0.65, 1.5)
     angle = random.uniform(0.0, 2.0 * np.pi, twigs)
-    reach = height * random.uniform(0.2, 0.75, twigs)
-    tops = np.column_stack([reach * np.cos(angle), reach * np.sin(angle), height * random.uniform(0.45, 0.9, twigs)])
+    reach = spread * height * random.uniform(0.1, 0.75, twigs)
+    tops = np.column_stack([reach * np.cos(angle), reach * np.sin(angle), height * random.uniform(0.4, 0.95, twigs) / spread**0.5])
     wood = _tubes(np.stack([0.05 * tops * [1.0, 1.0, 0.0], 0.5 * tops + [0.0, 0.0, 0.1 * height], tops], axis=1), 0.018 * height, 4)
     owners = random.integers(0, twigs, leaves)
-    centers = tops[owners] * random.uniform(0.55, 1.0, (leaves, 1)) + random.uniform(-0.2, 0.2, (leaves, 3)) * height
+    centers = tops[owners] * random.uniform(0.35, 1.0, (leaves, 1)) + random.normal(0.0, 0.07, (leaves, 3)) * height
     centers[:, 2] = np.maximum(centers[:, 2], 0.05 * height)
     inside = np.clip(np.linalg.norm(centers - [0.0, 0.0, 0.4 * height], axis=1) / (0.7 * height), 0.0, 1.0)
-    length = 2.4 * height / np.sqrt(leaves) * random.uniform(0.7, 1.3, leaves)
+    length = 2.6 * height / np.sqrt(leaves) * random.uniform(0.6, 1.4, leaves)
     shades = (0.35 + 0.75 * inside) * random.uniform(0.8, 1.2, leaves)
     return join([wood, _leaves(centers, random.normal(size=(leaves, 3)) + [0.0, 0.0, 0.8], length, shades, random)])
 
