@@ -27,7 +27,7 @@ def _fill_cloud_group(builder: NodeBuilder) -> None:
     slant = builder.math("ADD", builder.math("MAXIMUM", z, 0.0), CURVATURE)
     place = builder.combine(builder.math("DIVIDE", x, slant), builder.math("DIVIDE", y, slant), 0.0)
     # By the measured quantiles of the noise, this fraction of it is within 0.03 of the cover, between 0.05 and 0.9.
-    threshold = builder.math("SUBTRACT", 0.575, builder.math("MULTIPLY", inputs["Cover"], 0.26))
+    threshold = builder.multiply_add(inputs["Cover"], -0.26, 0.575)
     thickness = builder.math("SUBTRACT", _noise(builder, place, 9.0), threshold)
     towards = builder.vector("SCALE", builder.combine(inputs["Sun X"], inputs["Sun Y"], 0.0), TOWARDS_SUN)
     behind = builder.math("SUBTRACT", _noise(builder, builder.vector("ADD", place, towards), 4.0), threshold)

@@ -1,7 +1,6 @@
 """What *Drop to Ground* has in common for all terrains."""
 
 from collections import Counter
-from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from typing import ClassVar
@@ -140,9 +139,40 @@ class DropOperator(start_job.StartJob):
         return disabled_reason(context) or ("" if context.selected_objects else "Select the objects to put on the ground")
 
     def prepare(self, context: bpy.types.Context) -> DropJob:
-        """Read the positions of the selected objects or points, and the ground."""
+        """Read the positions of the selected objects or points, and the ground.
+
+        Raises:
+            FileError: the ground is missing or damaged.
+            GeometryError: nothing that can be moved is selected, or the terrain has no area or shows nothing.
+            SettingsError: the settings of the terrain cannot be read.
+        """
         terrain, settings = find_terrain(context, self.terrain_type), self.read_settings(context)[self.settings_types[0]]
-        return prepare(context, terrain, settings, self.open_surface)
+        context.view_layer.update()
+        space = TerrainSpace.of(terrain)
+        if not is_invertible(space.matrix):
+            raise GeometryError(
+                f'The terrain "{terrain.name}" has a scale of zero, or a transform that is not finite; clear its transform.'
+            )
+        uses_points = settings.target == "points"
+        skipped: Counter = Counter()
+        names, groups = [], []
+        for item in placing.selected_objects(context, terrain):
+            reason = placing.refusal_of_points(item) if uses_points else placing.refusal_of_object(item)
+            if reason:
+                skipped[reason] += 1
+                continue
+            matrix = np.array(item.matrix_world, np.float64)
+            base = None if uses_points else placing.find_base(item, matrix, space.up, settings.target == "bottoms")[None]
+            names.append(item.name)
+            groups.append(placing.read_points(item) if base is None else base)
+        if not sum(len(group) for group in groups):
+            wanted = "meshes or point clouds" if uses_points else "objects"
+            sentences = " ".join(describe_skipped(skipped)) or "Nothing else than the terrain is selected."
+            raise GeometryError(f"{sentences} Select {wanted} to put on the ground.")
+        starts = np.cumsum([0] + [len(group) for group in groups])
+        points = space.to_terrain(np.concatenate(groups))
+        surface, opened = self.open_surface(terrain, settings, points)
+        return DropJob(surface, space, settings, names, starts, points, skipped, opened)
 
     @staticmethod
     def open_surface(terrain: TerrainRoot, settings: PlacingSettings, points: np.ndarray) -> tuple[Surface, AbstractContextManager | None]:
@@ -168,42 +198,3 @@ def find_terrain(context: bpy.types.Context, terrain_type: type[TerrainRoot]) ->
     if len(chosen) != 1:
         raise GeometryError(f"The scene has {len(terrains)} terrains; select the one to use together with the objects.")
     return chosen[0]
-
-
-def prepare(
-    context: bpy.types.Context,
-    terrain: TerrainRoot,
-    settings: PlacingSettings,
-    open_surface: Callable[[TerrainRoot, PlacingSettings, np.ndarray], tuple[Surface, AbstractContextManager | None]],
-) -> DropJob:
-    """Return the job that puts the selected objects on a terrain. open_surface: see `DropOperator.open_surface`.
-
-    Raises:
-        FileError: the store is missing or damaged.
-        GeometryError: nothing that can be moved is selected, or the terrain has no area or shows nothing.
-        SettingsError: the settings of the terrain cannot be read.
-    """
-    context.view_layer.update()
-    space = TerrainSpace.of(terrain)
-    if not is_invertible(space.matrix):
-        raise GeometryError(f'The terrain "{terrain.name}" has a scale of zero, or a transform that is not finite; clear its transform.')
-    uses_points = settings.target == "points"
-    skipped: Counter = Counter()
-    names, groups = [], []
-    for item in placing.selected_objects(context, terrain):
-        reason = placing.refusal_of_points(item) if uses_points else placing.refusal_of_object(item)
-        if reason:
-            skipped[reason] += 1
-            continue
-        matrix = np.array(item.matrix_world, np.float64)
-        base = None if uses_points else placing.find_base(item, matrix, space.up, settings.target == "bottoms")[None]
-        names.append(item.name)
-        groups.append(placing.read_points(item) if base is None else base)
-    if not sum(len(group) for group in groups):
-        wanted = "meshes or point clouds" if uses_points else "objects"
-        sentences = " ".join(describe_skipped(skipped)) or "Nothing else than the terrain is selected."
-        raise GeometryError(f"{sentences} Select {wanted} to put on the ground.")
-    starts = np.cumsum([0] + [len(group) for group in groups])
-    points = space.to_terrain(np.concatenate(groups))
-    surface, opened = open_surface(terrain, settings, points)
-    return DropJob(surface, space, settings, names, starts, points, skipped, opened)

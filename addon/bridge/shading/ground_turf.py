@@ -55,7 +55,7 @@ def add_turf(noise: GroundNoise, bumps: GroundBumps, uneven: bpy.types.NodeSocke
 
 
 def _add_blades(noise: GroundNoise) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]:
-    """Return the brightness of blades, 1 in the mean, and how far their tips are seen.
+    """Return the brightness of blades, 1 on average, and how far their tips are seen.
 
     A blade that stands upright hides the ground behind it. So noise is read along the view, towards the camera: the highest blade on the
     way is seen, dark at the root and bright at the tip.
