@@ -15,8 +15,8 @@ MAX_SIDE = 420  # Places along a side of the grid around the camera.
 FADE_START = 0.6  # Fraction of the distance from which on there is less.
 CONTRAST, GAPS = 14.0, 0.08  # Of clumps: how fast noise turns into density, and by how much clumps are rarer than gaps.
 SMALLER_AT_EDGES = 0.45  # By how much everything is smaller at the edge of a clump, a fraction.
-CLIFF, SLOPE = (0.6, 1.3), (0.35, 0.8)  # Rises of the ground, relative to the distance: of cliffs, and of slopes with debris.
-ON_SLOPES = 0.35  # How much debris lies on slopes, relative to the ground below cliffs.
+CLIFF, HILLSIDE = (0.6, 1.3), (0.35, 0.8)  # Rises of the ground, relative to the distance: of cliffs, and of slopes with debris.
+ON_HILLSIDES = 0.35  # How much debris lies on slopes, relative to the ground below cliffs.
 HOLLOW = 0.12  # Mean rise around a place that is all hollow.
 AROUND = ((1.0, 0.0), (0.7, 0.7), (0.0, 1.0), (-0.7, 0.7), (-1.0, 0.0), (-0.7, -0.7), (0.0, -1.0), (0.7, -0.7))  # Directions.
 STEEPNESS_NOISE, FLAT_MARGIN = 0.12, 0.1  # How far noise moves z of normals, and what is added to its upper limit for it.
@@ -194,8 +194,8 @@ def _add_shape_of_ground(
         rise = builder.math("MULTIPLY", rise, builder.math("LESS_THAN", length, farthest))
         highest = rise if highest is None else builder.math("MAXIMUM", highest, rise)
         total = rise if total is None else builder.math("ADD", total, rise)
-    cliff, slope = (builder.math("DIVIDE", builder.math("SUBTRACT", highest, low), high - low, True) for low, high in (CLIFF, SLOPE))
-    scree = builder.math("MAXIMUM", cliff, builder.math("MULTIPLY", slope, ON_SLOPES))
+    cliff, hillside = (builder.math("DIVIDE", builder.math("SUBTRACT", highest, low), high - low, True) for low, high in (CLIFF, HILLSIDE))
+    scree = builder.math("MAXIMUM", cliff, builder.math("MULTIPLY", hillside, ON_HILLSIDES))
     hollow = builder.math("DIVIDE", total, HOLLOW * len(AROUND), True)
     parts = [
         builder.math("SUBTRACT", 1.0, builder.math("MULTIPLY", given[name], builder.math("SUBTRACT", 1.0, part)))

@@ -165,9 +165,9 @@ def broadleaf(seed: int, leaves: int) -> Model:
     direction = random.normal(size=(limbs, 3)) + [0.0, 0.0, 0.3]
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     ends = TREE_CROWN + direction * reach * random.uniform(0.45, 0.8, (limbs, 1))
-    bend = np.column_stack([random.normal(0.0, 0.12, (2, 2)), [1.0, 2.6]])
-    trunk = _tubes(np.stack([[0.0, 0.0, -0.3], *bend])[None], 0.17, TRUNK_SIDES, 0.55)
-    forks = bend[0] + (bend[1] - bend[0]) * random.uniform(0.0, 1.0, (limbs, 1))
+    stem = np.column_stack([random.normal(0.0, 0.12, (2, 2)), [1.0, 2.6]])
+    trunk = _tubes(np.stack([[0.0, 0.0, -0.3], *stem])[None], 0.17, TRUNK_SIDES, 0.55)
+    forks = stem[0] + (stem[1] - stem[0]) * random.uniform(0.0, 1.0, (limbs, 1))
     wood = _tubes(np.stack([forks, 0.5 * (forks + ends) + [0.0, 0.0, 0.2], ends], axis=1), 0.055, 4)
     owners = random.integers(0, limbs, leaves)
     around = random.normal(size=(leaves, 3))
