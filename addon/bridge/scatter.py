@@ -25,8 +25,8 @@ from .sky import copy_haze
 from .terrain_roots import TerrainRoot, link_collection
 
 SCATTER_KEY = "farfield_scatter"  # Custom property of the objects: what they scatter.
+VARIANTS = len(plants.BUSH_FORMS)  # Of plants; rocks have more.
 SHADE = "shade"  # Attribute of vertices: factor of the color.
-VARIANTS = 4
 NO_LIMIT, SNOW_COLOR = 1e6, 0.6  # Heights; and how bright the layer of snow is where it is snow.
 ABOVE_WATER = 0.02  # Meters from water, below which rays have hit its surface.
 SOFT_HEIGHT = 1.5  # By which plants keep away from water, and fade out below the snow.
@@ -44,13 +44,17 @@ class Layer:
         density: part of the places that have one.
         flattest, steepest: z of the normals of the ground between which there are any.
         clump_size: of noise that leaves gaps.
-        clumps: how much it does, from 0 to 1.
+        clumps: how much it does, from 0 to 1: with 1, two thirds are gaps.
         align: to the ground, from 0, upright, to 1.
-        size: factor of the asset's size.
-        variation: of sizes, from 0, equal ones, to 1, mostly small ones.
+        size: of the largest, relative to the asset.
+        variation: the smallest are smaller than the largest by this fraction; most are small.
         is_plant: whether it keeps away from water and snow.
         clearance: to the camera, below which there is none.
         sway: angle by which it leans in gusts of a strong wind, radians.
+        tilt: range of the angle by which it is tilted, radians.
+        reach: distance within which the shape of the ground matters; 0 if it does not.
+        debris: how much it keeps to the ground below cliffs and, less, to slopes, from 0 to 1.
+        hollows: how much it keeps to hollows, from 0 to 1.
     """
 
     near: str
@@ -69,67 +73,51 @@ class Layer:
     is_plant: bool = True
     clearance: float = 0.0
     sway: float = 0.0
+    tilt: float = 0.0
+    reach: float = 0.0
+    debris: float = 0.0
+    hollows: float = 0.0
 
 
-TUFTS = Layer("Grass", "Grass", 1e6, 0.2, 40.0, 0.9, steepest=0.78, clump_size=3.0, clumps=0.35, align=0.7, variation=0.4, sway=0.35)
+TUFTS = Layer(
+    "Grass", "Grass", 1e6, 0.2, 40.0, 0.9,
+    steepest=0.78, clump_size=3.0, clumps=0.35, align=0.7, size=1.25, variation=0.4, sway=0.35,
+)  # fmt: skip
 PATCHES = Layer(
-    "Grass Patch", "Grass Patch", 1e6, 0.75, 150.0, 0.8, steepest=0.8, clump_size=9.0, clumps=0.4, align=0.8, variation=0.3, sway=0.3
-)
+    "Grass Patch", "Grass Patch", 1e6, 0.75, 150.0, 0.8,
+    steepest=0.8, clump_size=9.0, clumps=0.4, align=0.8, size=1.15, variation=0.3, sway=0.3,
+)  # fmt: skip
 BUSHES = Layer(
-    "Bush",
-    "Far Bush",
-    60.0,
-    3.0,
-    400.0,
-    0.16,
-    steepest=0.72,
-    clump_size=30.0,
-    clumps=0.9,
-    align=0.2,
-    variation=0.6,
-    clearance=1.5,
-    sway=0.07,
-)
-STONES = Layer("Rock", "Far Rock", 40.0, 1.6, 200.0, 0.1, clump_size=14.0, clumps=0.85, size=0.3, variation=0.85, is_plant=False)
+    "Bush", "Far Bush", 60.0, 2.2, 400.0, 0.6,
+    steepest=0.72, clump_size=26.0, clumps=0.93, align=0.2, size=2.0, variation=0.8, clearance=1.5, sway=0.07, tilt=0.4,
+)  # fmt: skip
+STONES = Layer(
+    "Rock", "Far Rock", 40.0, 1.2, 200.0, 0.5, clump_size=13.0, clumps=0.95, size=1.1, variation=0.89, is_plant=False, tilt=0.6,
+)  # fmt: skip
 DEBRIS = Layer(
-    "Rock",
-    "Far Rock",
-    80.0,
-    2.4,
-    480.0,
-    0.5,
-    flattest=0.9,
-    steepest=0.6,
-    clump_size=25.0,
-    clumps=0.6,
-    size=1.1,
-    variation=0.95,
-    is_plant=False,
-)
+    "Rubble", "Far Rubble", 80.0, 1.9, 395.0, 1.0,
+    steepest=0.68, clump_size=20.0, clumps=0.5, align=0.8, size=4.0, variation=0.9, is_plant=False, tilt=0.2, reach=14.0, debris=1.0,
+)  # fmt: skip
 CONIFERS = Layer(
-    "Conifer",
-    "Far Conifer",
-    70.0,
-    4.2,
-    850.0,
-    0.6,
-    steepest=0.74,
-    clump_size=90.0,
-    clumps=0.75,
-    align=0.0,
-    variation=0.45,
-    clearance=6.0,
-    sway=0.025,
-)
+    "Conifer", "Far Conifer", 70.0, 4.2, 850.0, 0.6,
+    steepest=0.74, clump_size=90.0, clumps=0.75, align=0.0, size=1.25, variation=0.45, clearance=6.0, sway=0.025,
+)  # fmt: skip
+TREES = Layer(
+    "Tree", "Far Tree", 60.0, 4.4, 800.0, 0.9,
+    steepest=0.8, clump_size=80.0, clumps=1.0, align=0.0, size=1.9, variation=0.6, clearance=8.0, sway=0.03, reach=30.0, hollows=0.95,
+)  # fmt: skip
 DRY_TUFTS = Layer(
-    "Grass Patch", "Grass Patch", 1e6, 1.6, 220.0, 0.22, steepest=0.8, clump_size=12.0, clumps=0.7, align=0.8, size=0.6, sway=0.3
-)
+    "Grass Patch", "Grass Patch", 1e6, 1.6, 220.0, 0.3,
+    steepest=0.8, clump_size=12.0, clumps=0.7, align=0.8, size=0.9, variation=0.55, sway=0.3,
+)  # fmt: skip
 KINDS = {
-    "meadow": {"Grass": TUFTS, "Grass Patches": PATCHES, "Bushes": BUSHES, "Stones": STONES},
-    "forest": {"Conifers": CONIFERS, "Bushes": BUSHES, "Grass": TUFTS, "Grass Patches": PATCHES, "Stones": STONES},
+    "meadow": {"Grass": TUFTS, "Grass Patches": PATCHES, "Bushes": BUSHES, "Trees": TREES, "Stones": STONES, "Debris": DEBRIS},
+    "forest": {
+        "Conifers": CONIFERS, "Bushes": BUSHES, "Grass": TUFTS, "Grass Patches": PATCHES, "Stones": STONES, "Debris": DEBRIS,
+    },
     "rocks": {"Stones": STONES, "Debris": DEBRIS},
-    "steppe": {"Dry Tufts": DRY_TUFTS, "Bushes": BUSHES, "Stones": STONES},
-}
+    "steppe": {"Dry Tufts": DRY_TUFTS, "Bushes": BUSHES, "Stones": STONES, "Debris": DEBRIS},
+}  # fmt: skip
 STONE, GREEN, BARK = (0.2, 0.18, 0.16), (0.09, 0.12, 0.035), (0.07, 0.05, 0.035)  # Scene-linear.
 GRASS_BRIGHTNESS, LEAF_BRIGHTNESS = 1.9, 2.8  # Of plants, relative to the ground that shows them from a distance.
 
@@ -199,6 +187,7 @@ def add_scatter(scene: bpy.types.Scene, terrain: TerrainRoot, settings: ScatterS
             "Clump Size": layer.clump_size * scale, "Clumps": layer.clumps, "Align to Ground": layer.align, "Size": layer.size * scale,
             "Size Variation": layer.variation, "Seed": settings.seed + 17 * len(created),
             "Clearance": layer.clearance * scale, "Sway": layer.sway * settings.wind, "Meter": scale,
+            "Tilt": layer.tilt, "Reach": layer.reach * scale, "Debris": layer.debris, "Hollows": layer.hollows,
         }  # fmt: skip
         for socket, value in values.items():
             set_node_input(modifier, socket, value)
@@ -267,13 +256,13 @@ def _create_assets(name: str, seed: int, ground: Ground) -> bpy.types.Collection
     """Return a new collection of variants of an asset. It is in no scene, so that only its instances are seen."""
     collection = bpy.data.collections.new(name)
     collection[SCATTER_KEY] = name
-    leaves = ground.grass * GRASS_BRIGHTNESS if "Grass" in name else ground.leaves * LEAF_BRIGHTNESS
-    if "Rock" in name:
+    grass, leaves = ground.grass * GRASS_BRIGHTNESS, ground.leaves * LEAF_BRIGHTNESS
+    leaves = grass if "Grass" in name else 0.5 * (grass + leaves) if "Tree" in name else leaves
+    if "Rock" in name or "Rubble" in name:
         materials = [_create_material(name, ground.rock)]
     else:
         materials = [_create_material(f"{name} Wood", np.array(BARK)), _create_material(name, leaves, is_leaf=True)]
-    for variant in range(VARIANTS):
-        model = _create_model(name, seed * VARIANTS + variant)
+    for variant, model in enumerate(_create_models(name, seed)):
         mesh = bpy.data.meshes.new(f"{name} {variant + 1}")
         write_triangles(mesh, model.vertices, model.triangles)
         for material in materials:
@@ -286,16 +275,23 @@ def _create_assets(name: str, seed: int, ground: Ground) -> bpy.types.Collection
     return collection
 
 
-def _create_model(name: str, seed: int) -> Model:
-    if name == "Grass":
-        return plants.grass(seed, 34, 0.13, 0.24)
-    if name == "Grass Patch":
-        return plants.grass(seed, 260, 0.68, 0.28, 0.6)
-    if name in ("Bush", "Far Bush"):
-        return plants.bush(seed, 2000 if name == "Bush" else 260, 1.0)
-    if name in ("Conifer", "Far Conifer"):
-        return plants.conifer(seed, 0.5 if name == "Conifer" else 0.2)
-    return plants.rock(seed, 4 if name == "Rock" else 2)
+def _create_models(name: str, seed: int) -> list[Model]:
+    """Return the variants of an asset, whose places have each of them equally often."""
+    is_far, seeds = name.startswith("Far "), range(VARIANTS * seed, VARIANTS * (seed + 1))
+    match name.removeprefix("Far "):
+        case "Grass":
+            return [plants.grass(each, 34, 0.13, 0.24) for each in seeds]
+        case "Grass Patch":
+            return [plants.grass(each, 260, 0.68, 0.28, 0.6) for each in seeds]
+        case "Bush":
+            return [plants.bush(each, 260 if is_far else 2000, 1.0, form) for form, each in enumerate(seeds)]
+        case "Conifer":
+            return [plants.conifer(each, 0.2 if is_far else 0.5) for each in seeds]
+        case "Tree":
+            return [plants.broadleaf(each, 900 if is_far else 7000) for each in seeds]
+        case "Rubble":
+            return [plants.rubble(each, 2 if is_far else 4) for each in seeds]
+    return [plants.rock(seeds[0], 2 if is_far else 4, form) for form in plants.ROCK_FORMS]
 
 
 def _create_material(name: str, color: np.ndarray, is_leaf: bool = False) -> bpy.types.Material:

@@ -8,17 +8,24 @@ from .active_camera import add_view
 from .geometry.geometry_nodes import TREE, GeometryBuilder
 from .shading.node_builder import NodeBuilder, ensure_shared_group
 
-NAME, NAME_IN_WIND, VERSION = "Farfield Scatter", "Farfield Scatter in Wind", 2
+NAME, NAME_IN_WIND, VERSION = "Farfield Scatter", "Farfield Scatter in Wind", 3
 WIND_SPEED, GUST_SIZE = 4.0, 12.0  # Meters per second; meters between gusts.
 CALM, FLUTTER, FLUTTER_RATE = 0.3, 0.2, 9.0  # How far plants lean without a gust, and how far and how fast they swing, radians per second.
 MAX_SIDE = 420  # Places along a side of the grid around the camera.
 FADE_START = 0.6  # Fraction of the distance from which on there is less.
+CONTRAST, GAPS = 14.0, 0.08  # Of clumps: how fast noise turns into density, and by how much clumps are rarer than gaps.
+SMALLER_AT_EDGES = 0.45  # By how much everything is smaller at the edge of a clump, a fraction.
+CLIFF, HILLSIDE = (0.6, 1.3), (0.35, 0.8)  # Rises of the ground, relative to the distance: of cliffs, and of slopes with debris.
+ON_HILLSIDES = 0.35  # How much debris lies on slopes, relative to the ground below cliffs.
+HOLLOW = 0.12  # Mean rise around a place that is all hollow.
+AROUND = ((1.0, 0.0), (0.7, 0.7), (0.0, 1.0), (-0.7, 0.7), (-1.0, 0.0), (-0.7, -0.7), (0.0, -1.0), (0.7, -0.7))  # Directions.
 STEEPNESS_NOISE, FLAT_MARGIN = 0.12, 0.1  # How far noise moves z of normals, and what is added to its upper limit for it.
 SOCKETS = (
     ("Geometry", "Geometry"), ("Ground", "Collection"), ("Near", "Collection"), ("Far", "Collection"), ("Far From", "Float"),
     ("Spacing", "Float"), ("Distance", "Float"), ("Density", "Float"), ("Lowest", "Float"), ("Highest", "Float"), ("Flattest", "Float"),
     ("Steepest", "Float"), ("Clump Size", "Float"), ("Clumps", "Float"), ("Align to Ground", "Float"), ("Size", "Float"),
     ("Size Variation", "Float"), ("Seed", "Int"), ("Clearance", "Float"), ("Sway", "Float"), ("Meter", "Float"),
+    ("Tilt", "Float"), ("Reach", "Float"), ("Debris", "Float"), ("Hollows", "Float"),
 )  # fmt: skip
 
 
@@ -71,18 +78,23 @@ def _fill(builder: NodeBuilder, has_wind: bool = False) -> None:
     hit = _capture(builder, points, values | {"First": first, "Second": second})
     first, second = (builder.separate(hit.outputs[name]) for name in ("First", "Second"))
     capture, position, normal = hit.outputs[0], hit.outputs["Position"], hit.outputs["Normal"]
-    is_chosen = _choose(builder, given, hit, camera, second[0])
+    clump = _add_clumps(builder, given, position)
+    shape = _add_shape_of_ground(builder, given, position, side, index)
+    is_chosen = _choose(builder, given, hit, camera, clump, shape, second[0])
     moved = builder.call("GeometryNodeSetPosition", {"Geometry": capture, "Position": position}).outputs[0]
     kept = builder.call("GeometryNodeSeparateGeometry", {0: moved, 1: is_chosen}, {"domain": "POINT"}).outputs[0]
     up = builder.mix(given["Align to Ground"], (0.0, 0.0, 1.0), normal)
     turned = builder.call("FunctionNodeAlignRotationToVector", {"Vector": up}, {"axis": "Z"}).outputs[0]
     spin = builder.call("FunctionNodeAxisAngleToRotation", {"Angle": builder.math("MULTIPLY", second[1], math.tau)}).outputs[0]
     rotation = builder.call("FunctionNodeRotateRotation", {0: turned, 1: spin}, {"rotation_space": "LOCAL"}).outputs[0]
+    tilt = builder.math("SUBTRACT", builder.math("FRACT", builder.math("MULTIPLY", second[1], 61.0)), 0.5)
+    tilted = builder.call("FunctionNodeAxisAngleToRotation", {"Angle": builder.math("MULTIPLY", tilt, given["Tilt"])})
+    tilted.inputs["Axis"].default_value = (1.0, 0.0, 0.0)
+    rotation = builder.call("FunctionNodeRotateRotation", {0: rotation, 1: tilted.outputs[0]}, {"rotation_space": "LOCAL"}).outputs[0]
     if has_wind:
         lean = _add_wind(builder, given, position, second[1])
         rotation = builder.call("FunctionNodeRotateRotation", {0: rotation, 1: lean}, {"rotation_space": "GLOBAL"}).outputs[0]
-    smaller = builder.math("MULTIPLY", builder.math("SUBTRACT", 1.0, builder.math("POWER", second[2], 1.7)), given["Size Variation"])
-    size = builder.math("MULTIPLY", builder.math("SUBTRACT", 1.15, smaller), given["Size"])
+    size = _add_size(builder, given, clump[1], second[2])
     distance = builder.vector("LENGTH", builder.vector("SUBTRACT", position, camera))
     is_near = builder.less(distance, given["Far From"])
     join = builder.node("GeometryNodeJoinGeometry")
@@ -132,28 +144,86 @@ def _capture(builder: GeometryBuilder, geometry: bpy.types.NodeSocket, values: d
     return node
 
 
+def _add_clumps(
+    builder: GeometryBuilder, given: bpy.types.bpy_prop_collection, position: bpy.types.NodeSocket
+) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]:
+    """Return noise around 0 that each seed has of its own, and how dense clumps are: from 0, a gap between them, to 1."""
+    noise = builder.node("ShaderNodeTexNoise")
+    scaled = builder.vector("SCALE", position, builder.math("DIVIDE", 1.0, given["Clump Size"]))
+    shift = builder.math("MULTIPLY", given["Seed"], 3.7)
+    builder.tree.links.new(builder.vector("ADD", scaled, builder.combine(shift, shift, 0.0)), noise.inputs["Vector"])
+    noise.inputs["Scale"].default_value, noise.inputs["Detail"].default_value = 1.0, 3.0
+    uneven = builder.math("SUBTRACT", noise.outputs[0], 0.5)
+    above = builder.math("SUBTRACT", uneven, builder.math("MULTIPLY", given["Clumps"], GAPS))
+    return uneven, builder.math("ADD", builder.math("MULTIPLY", above, CONTRAST), 0.5, True)
+
+
+def _add_size(
+    builder: GeometryBuilder, given: bpy.types.bpy_prop_collection, density: bpy.types.NodeSocket, random: bpy.types.NodeSocket
+) -> bpy.types.NodeSocket:
+    """Return sizes of which most are small: their number falls with the square of the size, see `core.plants.sample_sizes`."""
+    smallest = builder.math("POWER", builder.math("SUBTRACT", 1.0, given["Size Variation"]), -2.0)
+    powers = builder.math("ADD", smallest, builder.math("MULTIPLY", random, builder.math("SUBTRACT", 1.0, smallest)))
+    at_edge = builder.math("MULTIPLY", builder.math("SUBTRACT", 1.0, density), given["Clumps"])
+    factor = builder.math("SUBTRACT", 1.0, builder.math("MULTIPLY", at_edge, SMALLER_AT_EDGES))
+    return builder.math("MULTIPLY", builder.math("MULTIPLY", builder.math("POWER", powers, -0.5), factor), given["Size"])
+
+
+def _add_shape_of_ground(
+    builder: GeometryBuilder,
+    given: bpy.types.bpy_prop_collection,
+    position: bpy.types.NodeSocket,
+    side: bpy.types.NodeSocket,
+    index: bpy.types.NodeSocket,
+) -> bpy.types.NodeSocket:
+    """Return how well the ground within *Reach* suits: *Debris* lies below cliffs and, less of it, on slopes; plants grow in *Hollows*.
+
+    Places of the same grid at that distance show how the ground rises, unless they are beyond its border or have no ground.
+    """
+    steps = builder.math("MAXIMUM", builder.math("ROUND", builder.math("DIVIDE", given["Reach"], given["Spacing"])), 1.0)
+    farthest = builder.math("MULTIPLY", given["Reach"], 2.0)
+    highest = total = None
+    for x, y in AROUND:
+        column, row = (builder.math("ROUND", builder.math("MULTIPLY", steps, value)) for value in (x, y))
+        other = builder.math("ADD", builder.math("ADD", index, column), builder.math("MULTIPLY", row, side))
+        properties = {"data_type": "FLOAT_VECTOR", "domain": "POINT"}
+        neighbor = builder.call("GeometryNodeFieldAtIndex", {"Value": position, "Index": other}, properties).outputs[0]
+        offset = builder.vector("SUBTRACT", neighbor, position)
+        length = builder.math("MAXIMUM", builder.vector("LENGTH", builder.vector("MULTIPLY", offset, (1.0, 1.0, 0.0))), 1e-6)
+        rise = builder.math("DIVIDE", builder.separate(offset)[2], length)
+        rise = builder.math("MULTIPLY", rise, builder.math("LESS_THAN", length, farthest))
+        highest = rise if highest is None else builder.math("MAXIMUM", highest, rise)
+        total = rise if total is None else builder.math("ADD", total, rise)
+    cliff, hillside = (builder.math("DIVIDE", builder.math("SUBTRACT", highest, low), high - low, True) for low, high in (CLIFF, HILLSIDE))
+    scree = builder.math("MAXIMUM", cliff, builder.math("MULTIPLY", hillside, ON_HILLSIDES))
+    hollow = builder.math("DIVIDE", total, HOLLOW * len(AROUND), True)
+    parts = [
+        builder.math("SUBTRACT", 1.0, builder.math("MULTIPLY", given[name], builder.math("SUBTRACT", 1.0, part)))
+        for name, part in (("Debris", scree), ("Hollows", hollow))
+    ]
+    return builder.switch(builder.less(0.0, given["Reach"]), 1.0, builder.math("MULTIPLY", *parts), "FLOAT")
+
+
 def _choose(
     builder: GeometryBuilder,
     given: bpy.types.bpy_prop_collection,
     hit: bpy.types.Node,
     camera: bpy.types.NodeSocket,
+    clump: tuple[bpy.types.NodeSocket, bpy.types.NodeSocket],
+    shape: bpy.types.NodeSocket,
     random: bpy.types.NodeSocket,
 ) -> bpy.types.NodeSocket:
-    """Return whether there is something at a place: by the ground there, noise, and the distance to the camera."""
+    """Return whether there is something at a place: by the ground there and around it, clumps, and the distance to the camera."""
     position = hit.outputs["Position"]
     height, steepness = builder.separate(position)[2], builder.separate(hit.outputs["Normal"])[2]
     is_chosen = hit.outputs["Is Hit"]
-    noise = builder.node("ShaderNodeTexNoise")
-    builder.tree.links.new(builder.vector("SCALE", position, builder.math("DIVIDE", 1.0, given["Clump Size"])), noise.inputs["Vector"])
-    noise.inputs["Scale"].default_value, noise.inputs["Detail"].default_value = 1.0, 3.0
-    uneven = builder.math("SUBTRACT", noise.outputs[0], 0.5)
-    steepness = builder.math("ADD", steepness, builder.math("MULTIPLY", uneven, STEEPNESS_NOISE))
+    steepness = builder.math("ADD", steepness, builder.math("MULTIPLY", clump[0], STEEPNESS_NOISE))
     limits = ((given["Lowest"], height), (height, given["Highest"]), (given["Steepest"], steepness))
     for low, high in limits:
         is_chosen = builder.boolean("AND", is_chosen, builder.less(low, high))
     is_chosen = builder.boolean("AND", is_chosen, builder.less(steepness, builder.math("ADD", given["Flattest"], FLAT_MARGIN)))
-    open_part = builder.math("MULTIPLY", builder.math("ADD", builder.math("MULTIPLY", uneven, 6.0), 0.5, True), given["Clumps"])
-    weight = builder.math("ADD", builder.math("SUBTRACT", 1.0, given["Clumps"]), open_part)
+    open_part = builder.math("MULTIPLY", clump[1], given["Clumps"])
+    weight = builder.math("MULTIPLY", builder.math("ADD", builder.math("SUBTRACT", 1.0, given["Clumps"]), open_part), shape)
     offset = builder.vector("MULTIPLY", builder.vector("SUBTRACT", position, camera), (1.0, 1.0, 0.0))
     length = builder.vector("LENGTH", offset)
     is_chosen = builder.boolean("AND", is_chosen, builder.less(given["Clearance"], length))

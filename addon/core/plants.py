@@ -1,9 +1,9 @@
-"""Grass, bushes, conifers and rocks as meshes.
+"""Grass, bushes, trees and rocks as meshes.
 
 Lengths are meters, up is +Z, the ground is at z = 0. The index of the material is 0 for bark and stone, and 1 for leaves.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -11,6 +11,9 @@ from scipy.spatial import ConvexHull
 BLADE_RINGS = np.array([0.0, 0.4, 0.75, 1.0])  # Of a blade of grass, along its length; the last one is its tip.
 CONIFER_HEIGHT, TRUNK_RADIUS, TRUNK_SIDES = 11.0, 0.16, 7
 FAN_SEGMENTS = 4  # Of a branch, along its length.
+BUSH_FORMS = ((1.0, 1.0), (1.5, 0.8), (0.65, 1.0), (1.25, 0.3))  # How wide bushes are, and the part of their leaves that they have.
+TREE_CROWN, TREE_REACH = (0.0, 0.0, 3.6), (2.4, 2.4, 2.4)  # Center and half axes of the crown of a broadleaf tree.
+STONES_BESIDE, STONE_SIZES = 16, (0.1, 0.65)  # Of rubble: small rocks around one of 1 m, and their sizes.
 LEAF = np.array(
     [(0.0, 0.0, 0.0), (0.36, 0.5, 0.08), (0.0, 1.0, -0.05), (-0.36, 0.5, 0.08)]
 )  # Across, along, above; relative to its length.
@@ -31,6 +34,32 @@ class Model:
     triangles: np.ndarray
     materials: np.ndarray
     shades: np.ndarray
+
+
+@dataclass(frozen=True)
+class RockForm:
+    """A kind of shape of rocks.
+
+    Attributes:
+        points: number of random points, of which the rock is the hull.
+        roundness: from 0, points of a normal distribution, to 1, on an ellipsoid.
+        axes: (3,) half axes of the ellipsoid.
+        roughness: how far faces are broken up, relative to their edges.
+    """
+
+    points: int
+    roundness: float
+    axes: tuple[float, float, float]
+    roughness: float
+
+
+ROCK_FORMS = {
+    "boulder": RockForm(24, 0.0, (0.42, 0.34, 0.26), 0.13),
+    "slab": RockForm(14, 0.6, (0.5, 0.36, 0.11), 0.05),
+    "block": RockForm(10, 0.7, (0.42, 0.36, 0.34), 0.05),
+    "cobble": RockForm(28, 1.0, (0.45, 0.38, 0.3), 0.06),
+    "shard": RockForm(9, 0.4, (0.55, 0.2, 0.24), 0.07),
+}
 
 
 def grass(seed: int, blades: int, radius: float, height: float, taper: float = 0.0) -> Model:
@@ -59,10 +88,14 @@ def grass(seed: int, blades: int, radius: float, height: float, taper: float = 0
     return _repeat(vertices, triangles, shades)
 
 
-def bush(seed: int, leaves: int, height: float) -> Model:
-    """Return a bush: twigs from the ground, and leaves around their ends. Some are low and wide, others slender."""
+def bush(seed: int, leaves: int, height: float, form: int = 0) -> Model:
+    """Return a bush: twigs from the ground, and leaves around their ends.
+
+    form: index of one of `BUSH_FORMS`; some are low and wide, others slender or nearly bare.
+    """
     random = np.random.default_rng([seed, 2])
-    twigs, spread = 24, random.uniform(0.65, 1.5)
+    twigs, (spread, leafy) = 24, BUSH_FORMS[form]
+    leaves = round(leafy * leaves)
     angle = random.uniform(0.0, 2.0 * np.pi, twigs)
     reach = spread * height * random.uniform(0.1, 0.75, twigs)
     tops = np.column_stack([reach * np.cos(angle), reach * np.sin(angle), height * random.uniform(0.4, 0.95, twigs) / spread**0.5])
@@ -71,7 +104,7 @@ def bush(seed: int, leaves: int, height: float) -> Model:
     centers = tops[owners] * random.uniform(0.35, 1.0, (leaves, 1)) + random.normal(0.0, 0.07, (leaves, 3)) * height
     centers[:, 2] = np.maximum(centers[:, 2], 0.05 * height)
     inside = np.clip(np.linalg.norm(centers - [0.0, 0.0, 0.4 * height], axis=1) / (0.7 * height), 0.0, 1.0)
-    length = 2.6 * height / np.sqrt(leaves) * random.uniform(0.6, 1.4, leaves)
+    length = 2.6 * height / np.sqrt(leaves / leafy) * random.uniform(0.6, 1.4, leaves)
     shades = (0.35 + 0.75 * inside) * random.uniform(0.8, 1.2, leaves)
     return join([wood, _leaves(centers, random.normal(size=(leaves, 3)) + [0.0, 0.0, 0.8], length, shades, random)])
 
@@ -125,10 +158,57 @@ def conifer(seed: int, detail: float) -> Model:
     return join([trunk, branches, _leaves(roots, random.normal(size=(count, 3)), length, shades, random, ahead, width)])
 
 
-def rock(seed: int, detail: int) -> Model:
-    """Return a rock about 1 m wide: a hull of random points, whose faces are broken up. detail: how often edges are halved."""
-    random = np.random.default_rng([seed, 4])
-    points = random.normal(size=(24, 3)) * [0.42, 0.34, 0.26]
+def broadleaf(seed: int, leaves: int) -> Model:
+    """Return a broadleaf tree about 6 m high: a trunk, limbs, and clusters of leaves around the ends of the limbs."""
+    random = np.random.default_rng([seed, 5])
+    limbs, reach = 26, TREE_REACH * random.uniform(0.8, 1.15, 3)
+    direction = random.normal(size=(limbs, 3)) + [0.0, 0.0, 0.3]
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    ends = TREE_CROWN + direction * reach * random.uniform(0.45, 0.8, (limbs, 1))
+    stem = np.column_stack([random.normal(0.0, 0.12, (2, 2)), [1.0, 2.6]])
+    trunk = _tubes(np.stack([[0.0, 0.0, -0.3], *stem])[None], 0.17, TRUNK_SIDES, 0.55)
+    forks = stem[0] + (stem[1] - stem[0]) * random.uniform(0.0, 1.0, (limbs, 1))
+    wood = _tubes(np.stack([forks, 0.5 * (forks + ends) + [0.0, 0.0, 0.2], ends], axis=1), 0.055, 4)
+    owners = random.integers(0, limbs, leaves)
+    around = random.normal(size=(leaves, 3))
+    around *= random.random((leaves, 1)) ** 0.5 / np.linalg.norm(around, axis=1, keepdims=True)
+    centers = ends[owners] + around * random.uniform(0.55, 1.0, (limbs, 1))[owners] * [1.0, 1.0, 0.75]
+    inside = np.clip(np.linalg.norm((centers - TREE_CROWN) / (reach + 0.3), axis=1), 0.0, 1.0)
+    shades = (0.45 + 0.5 * inside + 0.2 * around[:, 2]) * random.uniform(0.8, 1.2, leaves)
+    length = 11.0 / np.sqrt(leaves) * random.uniform(0.7, 1.3, leaves)
+    return join([trunk, wood, _leaves(centers, random.normal(size=(leaves, 3)) + around + [0.0, 0.0, 0.6], length, shades, random)])
+
+
+def rubble(seed: int, detail: int) -> Model:
+    """Return a rock about 1 m wide with small ones around it, most of them close to it. detail: as of `rock`."""
+    random = np.random.default_rng([seed, 6])
+    forms = list(ROCK_FORMS)
+    rocks = [rock(seed, detail, forms[random.integers(len(forms))])]
+    smallest, largest = STONE_SIZES
+    for index in range(STONES_BESIDE):
+        stone = rock(seed + index + 1, max(detail - 1, 1), forms[random.integers(len(forms))])
+        size = sample_sizes(random.random(), smallest / largest) * largest
+        angle, spin = random.uniform(0.0, 2.0 * np.pi, 2)
+        distance = 0.3 + 0.5 * size + random.exponential(0.4)
+        turn = np.array([[np.cos(spin), -np.sin(spin), 0.0], [np.sin(spin), np.cos(spin), 0.0], [0.0, 0.0, 1.0]])
+        place = distance * np.array([np.cos(angle), np.sin(angle), 0.0])
+        rocks.append(replace(stone, vertices=size * stone.vertices @ turn.T + place))
+    return join(rocks)
+
+
+def sample_sizes(random: np.ndarray | float, smallest: float) -> np.ndarray | float:
+    """Return sizes from `smallest` to 1 for uniform random numbers from 0 to 1: the number of those above a size falls with its square."""
+    return (smallest**-2.0 + random * (1.0 - smallest**-2.0)) ** -0.5
+
+
+def rock(seed: int, detail: int, form: str = "boulder") -> Model:
+    """Return a rock about 1 m wide, a third of it in the ground: a hull of random points, whose faces are broken up.
+
+    detail: how often edges are halved. form: one of `ROCK_FORMS`.
+    """
+    random, shape = np.random.default_rng([seed, 4]), ROCK_FORMS[form]
+    points = random.normal(size=(shape.points, 3))
+    points *= shape.axes / np.linalg.norm(points, axis=1, keepdims=True) ** shape.roundness
     hull = ConvexHull(points)
     used, triangles = np.unique(hull.simplices, return_inverse=True)
     vertices, triangles = points[used], triangles.reshape(-1, 3)
@@ -136,13 +216,13 @@ def rock(seed: int, detail: int) -> Model:
     normals = np.cross(vertices[triangles[:, 1]] - vertices[triangles[:, 0]], vertices[triangles[:, 2]] - vertices[triangles[:, 0]])
     is_inward = (normals * (vertices[triangles[:, 0]] - center)).sum(axis=1) < 0.0
     triangles[is_inward] = triangles[is_inward][:, ::-1]
-    roughness = 0.13
+    roughness = shape.roughness
     for _ in range(detail):
         vertices, triangles = _split(vertices, triangles, roughness, random)
         roughness *= 0.8
-    vertices -= [*vertices[:, :2].mean(axis=0), vertices[:, 2].min() + 0.3 * np.ptp(vertices[:, 2])]  # A part of it is in the ground.
+    vertices -= [*vertices[:, :2].mean(axis=0), vertices[:, 2].min() + np.ptp(vertices[:, 2]) / 3.0]
     vertices /= np.ptp(vertices[:, :2], axis=0).max()
-    shades = random.uniform(0.85, 1.1) * np.clip(0.75 + 0.5 * vertices[:, 2], 0.6, 1.1)
+    shades = random.uniform(0.8, 1.15) * np.clip(0.75 + 0.5 * vertices[:, 2], 0.6, 1.1)
     return Model(vertices, triangles, np.zeros(len(triangles), np.int64), shades)
 
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from .settings import Choice, Settings, setting
 
 KINDS = {
-    "meadow": Choice("Meadow", "Grass, bushes and a few rocks"),
-    "forest": Choice("Forest", "Conifers with grass and bushes between them"),
-    "rocks": Choice("Rocks", "Rocks of all sizes, most of them below steep ground"),
-    "steppe": Choice("Steppe", "Dry tufts and bushes, far apart"),
+    "meadow": Choice("Meadow", "Grass with groups of bushes and stones, trees in hollows, and rubble below cliffs"),
+    "forest": Choice("Forest", "Conifers with grass and bushes between them, and rubble below cliffs"),
+    "rocks": Choice("Rocks", "Groups of stones, and rubble below cliffs and on slopes"),
+    "steppe": Choice("Steppe", "Dry tufts, groups of bushes and stones, and rubble below cliffs"),
 }
 
 

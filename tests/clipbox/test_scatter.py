@@ -59,11 +59,12 @@ def layer(monkeypatch):
     return layer
 
 
-def places(terrain):
-    """The matrices (N, 4, 4) of everything that is scattered, in the order of their places, and the names of the meshes there."""
+def places(terrain, item=None):
+    """The matrices (N, 4, 4) of everything that is scattered, or that one object scatters, in the order of their places, and the names of
+    the meshes there."""
     bpy.context.view_layer.update()
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    owners = set(scatter.find_scatter(terrain))
+    owners = set(scatter.find_scatter(terrain)) if item is None else {item}
     found = [
         (np.array(item.matrix_world), item.object.name)
         for item in depsgraph.object_instances
@@ -99,6 +100,66 @@ def test_places_stay_when_the_camera_moves(terrain, layer):
     def near_both(matrices):
         midpoint = np.array([-23.65, 3.0])
         return matrices[np.linalg.norm(matrices[:, :2, 3] - midpoint, axis=1) < 0.45 * layer.distance]
+
+    assert len(near_both(before)) > 100 and np.allclose(near_both(before), near_both(after), atol=1e-4)
+
+
+def test_clumps_are_dense_and_leave_gaps(terrain, layer, monkeypatch):
+    add_camera(-45.0, 0.0)
+    even, clumped, other = (
+        replace(layer, distance=40.0),
+        replace(layer, distance=40.0, clumps=1.0),
+        replace(layer, distance=40.0, clumps=1.0),
+    )
+    monkeypatch.setitem(scatter.KINDS, "rocks", {"Even": even, "Clumped": clumped, "Other": other})
+    created = scatter.add_scatter(bpy.context.scene, terrain, ScatterSettings(kind="rocks"), 1.0)
+    edges = np.linspace(-18.0, 18.0, 10)
+    counts = []
+    for item in created:
+        positions = places(terrain, item)[0][:, :2, 3]
+        counts.append(np.histogram2d(positions[:, 0] + 45.0, positions[:, 1], (edges, edges))[0])
+    even, clumped, other = counts
+    assert even.min() > 0 and even.var() < 2.0 * even.mean(), "4 m wide squares all have some"
+    assert (clumped == 0).mean() > 0.3 and clumped.max() > 0.7 * even.mean() and clumped.var() > 3.0 * clumped.mean()
+    assert np.corrcoef(clumped.ravel(), other.ravel())[0, 1] < 0.5, "each kind has clumps of its own"
+
+
+def test_most_are_small_and_a_few_large(terrain, layer, monkeypatch):
+    add_camera(-30.0, 0.0)
+    monkeypatch.setitem(scatter.KINDS, "rocks", {"Stones": replace(layer, size=2.0, variation=0.89)})
+    scatter.add_scatter(bpy.context.scene, terrain, ScatterSettings(kind="rocks"), 1.0)
+    sizes = np.linalg.norm(places(terrain)[0][:, :3, 2], axis=1)
+    assert 0.219 < sizes.min() < 0.225 and 1.0 < sizes.max() < 2.001
+    expected = 2.0 * plants.sample_sizes(np.array([0.25, 0.5, 0.75, 0.95]), 0.11)
+    assert np.quantile(sizes, [0.25, 0.5, 0.75, 0.95]) == pytest.approx(expected, rel=0.15)
+
+
+def test_they_are_tilted_from_the_normal_of_the_ground(terrain, layer, monkeypatch):
+    add_camera(-45.0, 0.0)
+    axes = []
+    for tilt in (0.0, 0.6):
+        monkeypatch.setitem(scatter.KINDS, "rocks", {"Stones": replace(layer, tilt=tilt, variation=0.0)})
+        scatter.add_scatter(bpy.context.scene, terrain, ScatterSettings(kind="rocks"), 1.0)
+        axes.append(places(terrain)[0][:, :3, 2])
+    angles = np.arccos(np.clip((axes[0] * axes[1]).sum(axis=1), -1.0, 1.0))
+    assert angles.max() < 0.301 and angles.mean() == pytest.approx(0.15, abs=0.02)
+
+
+@pytest.mark.parametrize("values", [{"debris": 1.0, "reach": 9.0}, {"hollows": 1.0, "reach": 12.0}], ids=lambda values: next(iter(values)))
+def test_debris_lies_below_cliffs_and_trees_grow_in_hollows(terrain, layer, monkeypatch, values):
+    camera = add_camera(0.0, 0.0)
+    below = replace(layer, steepest=0.0, distance=60.0, **values)
+    monkeypatch.setitem(scatter.KINDS, "rocks", {"Stones": below})
+    scatter.add_scatter(bpy.context.scene, terrain, ScatterSettings(kind="rocks"), 1.0)
+    before, _ = places(terrain)
+    x = before[:, 0, 3]
+    at_foot, on_plain, on_top = (x > -25.0) & (x < -8.0), x < -45.0, x > (25.0 if "debris" in values else 5.0)
+    assert at_foot.sum() > 300 and max(on_plain.sum(), on_top.sum()) < 0.02 * at_foot.sum()
+    camera.location = (-8.0, 5.0, 20.0)
+    after, _ = places(terrain)
+
+    def near_both(matrices):
+        return matrices[np.linalg.norm(matrices[:, :2, 3] - [-4.0, 2.5], axis=1) < 0.3 * below.distance]
 
     assert len(near_both(before)) > 100 and np.allclose(near_both(before), near_both(after), atol=1e-4)
 
@@ -172,14 +233,26 @@ def test_they_have_the_haze_of_the_ground(terrain, layer, haze_first):
     assert len(found) == 2 and len(haze) == len({*found, *materials}) and len({node.inputs["Distance"].default_value for node in haze}) == 1
 
 
-def test_rocks_are_closed_and_plants_stand_on_the_ground():
-    rock = plants.rock(3, 2)
+@pytest.mark.parametrize("form", plants.ROCK_FORMS)
+def test_rocks_are_closed_and_a_third_in_the_ground(form):
+    rock = plants.rock(3, 2, form)
     edges = np.sort(rock.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()
     corners = rock.vertices[rock.triangles]
     assert (np.cross(corners[:, 0], corners[:, 1]) * corners[:, 2]).sum() > 0.0, "its faces point outwards"
-    assert np.ptp(rock.vertices[:, :2], axis=0).max() == pytest.approx(1.0) and rock.vertices[:, 2].min() < 0.0
-    for model in (plants.grass(1, 30, 0.2, 0.3), plants.bush(1, 200, 1.0), plants.conifer(1, 0.2)):
+    low, height = rock.vertices[:, 2].min(), np.ptp(rock.vertices[:, 2])
+    assert np.ptp(rock.vertices[:, :2], axis=0).max() == pytest.approx(1.0) and -low == pytest.approx(height / 3.0)
+
+
+def test_forms_of_rocks_differ():
+    heights = {form: np.mean([np.ptp(plants.rock(seed, 1, form).vertices[:, 2]) for seed in range(9)]) for form in plants.ROCK_FORMS}
+    assert heights["slab"] < 0.35 < 0.6 < heights["block"]
+    rubble, rock = plants.rubble(1, 2), plants.rock(1, 2)
+    assert len(rubble.triangles) > 1.5 * len(rock.triangles) and np.ptp(rubble.vertices[:, :2], axis=0).max() > 1.2
+
+
+def test_plants_stand_on_the_ground():
+    for model in (plants.grass(1, 30, 0.2, 0.3), plants.bush(1, 200, 1.0, 3), plants.conifer(1, 0.2), plants.broadleaf(1, 300)):
         assert np.isfinite(model.vertices).all() and -1.0 < model.vertices[:, 2].min() < 0.05 < model.vertices[:, 2].max()
         assert model.triangles.max() < len(model.vertices) == len(model.shades) and len(model.materials) == len(model.triangles)
 
