@@ -12,6 +12,7 @@ import bpy
 from .ground_detail import GroundBumps, Layer, add_rock
 from .ground_noise import GroundNoise, add_noise, between, invert, ramp
 from .ground_sand import add_sand
+from .ground_shore import add_shore
 from .ground_stones import COBBLES, PEBBLES, add_stones
 from .ground_turf import add_turf
 from .node_builder import NodeBuilder, SocketOrValue, ensure_shared_group
@@ -25,7 +26,10 @@ WET_COLOR, WET_ROUGHNESS = 0.45, 0.35  # Of wet ground, relative to dry ground.
 SOFT_BUMPS = 0.3  # Height of bumps on soil, sand and snow, relative to those on rock.
 # Contrast of bumps on each kind of ground; rock has cracks, too.
 ROCK_CONTRAST, SOIL_CONTRAST, SAND_CONTRAST, SNOW_CONTRAST = 0.55, 0.8, 0.45, 0.35
-DEBRIS_SHADE = 0.7  # Brightness of the ground between the stones of rock debris.
+DEBRIS_SHADE, DEBRIS_CONTRAST = 0.7, 1.5  # Brightness of the ground between the stones of rock debris, and contrast of its bumps.
+DEBRIS_ROCK, DEBRIS_NOISE = 0.5, 0.25  # Most of the color of rock in debris, and bumps at which there is half of it.
+BARE_STONES = 0.06  # Fraction of stones on bare soil.
+FOAM_COLOR = (0.72, 0.75, 0.76)
 # Bands with pebbles: meters, the noise at their borders, and how many pebbles there are between them.
 TRACK_WAVELENGTH, TRACK_WIDTH, BETWEEN_TRACKS = 11.0, 0.5, 0.12
 INPUTS = (
@@ -49,7 +53,7 @@ DEFAULTS = {
     "Sand": (0.36, 0.27, 0.16, 1.0),
     "Snow": (0.8, 0.83, 0.88, 1.0),
     "Rock Slope": 0.72,  # z of the normal below which the ground is rock
-    "Scree Width": 0.07,  # how much larger z is where rock debris ends and soil begins
+    "Scree Width": 0.1,  # how much larger z is where rock debris ends and soil begins
     "Water Height": NO_WATER,  # below it and a little above, the ground is wet
     "Water": (0.006, 0.035, 0.045, 1.0),  # color of deep water
     "Clarity": 4.0,  # depth at which 63 % of the color is that of deep water
@@ -130,19 +134,11 @@ class GroundGroup:
         self._normal_z = builder.multiply_add(self._uneven, inputs["Slope Noise"], noise.normal[2])
         self._is_snow = ramp(builder, height, inputs["Snow Height"], blend)
         self.is_rock = ramp(builder, self._normal_z, inputs["Rock Slope"], inputs["Slope Blend"], 1.0, 0.0)
-        self.is_sand = ramp(builder, height, inputs["Sand Height"], blend, 1.0, 0.0)
         self._tone = builder.multiply_add(variation, inputs["Color Noise"], 1.0)
-        self._add_water()
-
-    def _add_water(self) -> None:
-        builder, inputs = self._builder, self._inputs
-        shore = builder.math("ADD", inputs["Water Height"], builder.math("MULTIPLY", inputs["Bump Size"], 2.0))
-        uneven = builder.multiply_add(self._bumps.pattern, inputs["Bump Size"], self._z)
-        is_dry = ramp(builder, uneven, shore, inputs["Bump Size"])
-        self._wetness = between(builder, is_dry, WET_COLOR)
-        self._roughness = builder.math("MULTIPLY", inputs["Roughness"], between(builder, is_dry, WET_ROUGHNESS))
-        depth = builder.math("MAXIMUM", builder.math("SUBTRACT", inputs["Water Height"], self._z), 0.0)
-        self._passed = builder.attenuate(builder.math("DIVIDE", depth, inputs["Clarity"]))
+        self._shore = shore = add_shore(noise, bumps, self._uneven)
+        self.is_sand = builder.math("MAXIMUM", ramp(builder, height, inputs["Sand Height"], blend, 1.0, 0.0), shore.is_beach)
+        self._wetness = between(builder, shore.is_dry, WET_COLOR)
+        self._roughness = builder.math("MULTIPLY", inputs["Roughness"], between(builder, shore.is_dry, WET_ROUGHNESS))
 
     def add_rock(self) -> Layer:
         """Return rock."""
@@ -150,17 +146,19 @@ class GroundGroup:
         return Layer(self._finish(rock.color, ROCK_CONTRAST), rock.bumps)
 
     def add_sand(self) -> Layer:
-        """Return sand with ripples, pebbles and stones."""
-        sand = add_sand(self._noise)
-        sand = self._scatter(Layer(sand.color, (self._soft_bumps(), *sand.bumps)))
+        """Return sand with ripples, pebbles and stones; gravel on beaches whose sand is darker."""
+        builder, sand = self._builder, add_sand(self._noise)
+        color = builder.mix(self._shore.is_beach, sand.color, builder.vector("MAXIMUM", sand.color, self._inputs["Scree"]))
+        sand = self._scatter(Layer(color, (self._soft_bumps(), *sand.bumps)))
         return Layer(self._finish(sand.color, SAND_CONTRAST), sand.bumps)
 
     def add_soil(self) -> Layer:
         """Return soil with grass, snow and stones."""
         builder = self._builder
-        turf = add_turf(self._noise, self._bumps, self._uneven)
+        turf, is_bare = add_turf(self._noise, self._bumps, self._uneven)
         bumps = [(height, builder.math("MULTIPLY", invert(builder, self._is_snow), strength)) for height, strength in turf.bumps]
-        soil = self._scatter(Layer(builder.mix(self._is_snow, turf.color, self._inputs["Snow"]), (self._soft_bumps(), *bumps)))
+        soil = Layer(builder.mix(self._is_snow, turf.color, self._inputs["Snow"]), (self._soft_bumps(), *bumps))
+        soil = self._scatter(soil, builder.math("MULTIPLY", is_bare, BARE_STONES))
         return Layer(self._finish(soil.color, between(builder, self._is_snow, SOIL_CONTRAST, SNOW_CONTRAST)), soil.bumps)
 
     def add_plain(self) -> bpy.types.NodeSocket:
@@ -171,14 +169,17 @@ class GroundGroup:
         ground = builder.mix(ramp(builder, self._z, inputs["Snow Height"], blend), ground, inputs["Snow"])
         ground = builder.mix(ramp(builder, self._noise.normal[2], inputs["Rock Slope"], 0.1), inputs["Rock"], ground)
         diffuse = builder.node("ShaderNodeBsdfDiffuse")
-        builder.connect(builder.mix(self._passed, inputs["Water"], ground), diffuse.inputs["Color"])
+        builder.connect(builder.mix(self._shore.passed, inputs["Water"], ground), diffuse.inputs["Color"])
         return diffuse.outputs[0]
 
     def _soft_bumps(self) -> tuple[bpy.types.NodeSocket, float]:
         return self._bumps.height, SOFT_BUMPS
 
-    def _scatter(self, ground: Layer) -> Layer:
-        """Return ground with pebbles, stones of rock debris near rock, and loose stones in clumps, where the ground is uneven."""
+    def _scatter(self, ground: Layer, loose: SocketOrValue = 0.0) -> Layer:
+        """Return ground with pebbles, stones of rock debris near rock, and loose stones in clumps, where the ground is uneven.
+
+        loose: fraction of the stones of rock debris that are there anyway.
+        """
         builder, inputs, noise = self._builder, self._inputs, self._noise
         is_free = invert(builder, self._is_snow)
         tracks = noise.noise(builder.math("MULTIPLY", inputs["Meter"], TRACK_WAVELENGTH), 4, dimensions="2D")
@@ -188,18 +189,22 @@ class GroundGroup:
         width = builder.math("MULTIPLY", inputs["Scree Width"], 0.5)
         start = builder.math("ADD", inputs["Rock Slope"], builder.math("MULTIPLY", inputs["Scree Width"], 0.75))
         is_scree = builder.math("MULTIPLY", ramp(builder, self._normal_z, start, width, 1.0, 0.0), is_free)
-        debris = builder.vector("SCALE", inputs["Scree"], DEBRIS_SHADE)
+        rocky = ramp(builder, self._bumps.pattern, 0.0, DEBRIS_NOISE, 0.0, DEBRIS_ROCK)
+        shade = builder.multiply_add(self._bumps.shade, DEBRIS_SHADE * DEBRIS_CONTRAST, DEBRIS_SHADE)
+        debris = builder.vector("SCALE", builder.mix(rocky, inputs["Scree"], inputs["Rock"]), shade)
         ground = Layer(builder.mix(ramp(builder, is_scree, 0.5, 0.25), ground.color, debris), ground.bumps)
         clumps = builder.math("MULTIPLY", ramp(builder, self._uneven, 0.1, 0.25), is_free)
-        density = builder.math("MAXIMUM", is_scree, builder.math("MULTIPLY", clumps, inputs["Stones"]))
+        density = builder.math("MAXIMUM", is_scree, builder.multiply_add(clumps, inputs["Stones"], loose))
         return add_stones(noise, ground, COBBLES, inputs["Scree"], density)
 
     def _finish(self, color: bpy.types.NodeSocket, contrast: SocketOrValue) -> bpy.types.NodeSocket:
-        """Return a color that varies with position, darker in the hollows of bumps and where it is wet, and that of water below it."""
+        """Return a color that varies with position, darker in the hollows of bumps and where it is wet, with foam at the shore and
+        that of water below it."""
         builder = self._builder
         brightness = builder.multiply_add(self._bumps.shade, contrast, 1.0)
         brightness = builder.math("MULTIPLY", builder.math("MULTIPLY", brightness, self._tone), self._wetness)
-        return builder.mix(self._passed, self._inputs["Water"], builder.vector("SCALE", color, brightness))
+        color = builder.mix(self._shore.foam, builder.vector("SCALE", color, brightness), FOAM_COLOR)
+        return builder.mix(self._shore.passed, self._inputs["Water"], color)
 
     def shade(self, layer: Layer) -> bpy.types.NodeSocket:
         """Return the shader of a layer."""
