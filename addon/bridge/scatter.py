@@ -19,6 +19,7 @@ from ..core.scatter import ScatterSettings
 from .geometry.mesh_arrays import write_attribute, write_triangles
 from .scatter_nodes import MAX_SIDE, NAME, ensure_group
 from .shading.ground import GROUP_NAME
+from .shading.ground_noise import ramp
 from .shading.node_builder import create_node_material, nodes_in
 from .shading.solid_view import show_color
 from .sky import copy_haze
@@ -119,6 +120,8 @@ KINDS = {
     "steppe": {"Dry Tufts": DRY_TUFTS, "Bushes": BUSHES, "Stones": STONES, "Debris": DEBRIS},
 }  # fmt: skip
 STONE, GREEN, BARK = (0.2, 0.18, 0.16), (0.09, 0.12, 0.035), (0.07, 0.05, 0.035)  # Scene-linear.
+# Noise in the color of stones: its wavelength in meters, octaves after the first and their gain; and how high it raises their surface.
+STAIN_METERS, STAIN_OCTAVES, STAIN_GAIN, BUMP_METERS = 0.7, 9.0, 0.6, 0.5
 GRASS_BRIGHTNESS, LEAF_BRIGHTNESS = 1.9, 2.8  # Of plants, relative to the ground that shows them from a distance.
 
 
@@ -127,13 +130,14 @@ class Ground:
     """What the material of a terrain says about its ground, in the space of the root.
 
     Attributes:
-        grass, leaves, rock: scene-linear colors (3,).
+        grass, leaves, rock, layers: scene-linear colors (3,); the last is that of the layers in rock.
         lowest, highest: heights between which plants grow.
     """
 
     grass: np.ndarray
     leaves: np.ndarray
     rock: np.ndarray
+    layers: np.ndarray
     lowest: float
     highest: float
 
@@ -145,12 +149,12 @@ class Ground:
             for node in nodes_in(material.node_tree) if material.node_tree is not None else ():
                 if node.type == "GROUP" and node.node_tree is not None and node.node_tree.name.startswith(GROUP_NAME):
                     values = {socket.name: socket.default_value for socket in node.inputs if not socket.is_linked}
-                    usual = {"Grass": GREEN, "Undergrowth": GREEN, "Scree": STONE}
+                    usual = {"Grass": GREEN, "Undergrowth": GREEN, "Scree": STONE, "Strata": STONE}
                     colors = [np.array(values.get(layer, color)[:3]) for layer, color in usual.items()]
                     has_snow = max(values.get("Snow", (0.0,))[:3]) > SNOW_COLOR
                     snow = values.get("Snow Height", NO_LIMIT) if has_snow else NO_LIMIT
                     return cls(*colors, values.get("Water Height", -NO_LIMIT) + SOFT_HEIGHT, snow - SOFT_HEIGHT)
-        return cls(np.array(GREEN), np.array(GREEN), np.array(STONE), -NO_LIMIT, NO_LIMIT)
+        return cls(*map(np.array, (GREEN, GREEN, STONE, STONE)), -NO_LIMIT, NO_LIMIT)
 
 
 def add_scatter(scene: bpy.types.Scene, terrain: TerrainRoot, settings: ScatterSettings, scale: float) -> list[bpy.types.Object]:
@@ -170,7 +174,7 @@ def add_scatter(scene: bpy.types.Scene, terrain: TerrainRoot, settings: ScatterS
     for name, layer in layers.items():
         for asset in (layer.near, layer.far):
             if asset not in assets:
-                assets[asset] = _create_assets(asset, settings.seed, ground)
+                assets[asset] = _create_assets(asset, settings.seed, ground, scale)
         item = bpy.data.objects.new(f"{terrain.name} {name}", bpy.data.meshes.new(name))
         item.parent, item[SCATTER_KEY] = terrain.root, name
         item.hide_select = True
@@ -252,14 +256,17 @@ def remove_scatter(terrain: TerrainRoot, names: Collection[str] | None = None) -
         bpy.data.batch_remove([item for item in collections if not item.all_objects and not item.children])
 
 
-def _create_assets(name: str, seed: int, ground: Ground) -> bpy.types.Collection:
-    """Return a new collection of variants of an asset. It is in no scene, so that only its instances are seen."""
+def _create_assets(name: str, seed: int, ground: Ground, scale: float) -> bpy.types.Collection:
+    """Return a new collection of variants of an asset. It is in no scene, so that only its instances are seen.
+
+    scale: scene units of a meter.
+    """
     collection = bpy.data.collections.new(name)
     collection[SCATTER_KEY] = name
     grass, leaves = ground.grass * GRASS_BRIGHTNESS, ground.leaves * LEAF_BRIGHTNESS
     leaves = grass if "Grass" in name else 0.5 * (grass + leaves) if "Tree" in name else leaves
     if "Rock" in name or "Rubble" in name:
-        materials = [_create_material(name, ground.rock)]
+        materials = [_create_rock_material(name, ground, scale)]
     else:
         materials = [_create_material(f"{name} Wood", np.array(BARK)), _create_material(name, leaves, is_leaf=True)]
     for variant, model in enumerate(_create_models(name, seed)):
@@ -294,8 +301,34 @@ def _create_models(name: str, seed: int) -> list[Model]:
     return [plants.rock(seeds[0], 2 if is_far else 4, form) for form in plants.ROCK_FORMS]
 
 
+def _create_rock_material(name: str, ground: Ground, scale: float) -> bpy.types.Material:
+    """Create the material of stones, whose color and bumps are noise in the scene, so that large stones have as fine details as small ones.
+
+    scale: scene units of a meter.
+    """
+    material, builder = create_node_material(name)
+    random = builder.node("ShaderNodeObjectInfo").outputs["Random"]
+    noise = builder.node("ShaderNodeTexNoise")
+    builder.connect(builder.node("ShaderNodeNewGeometry").outputs["Position"], noise.inputs["Vector"])
+    noise.inputs["Scale"].default_value, noise.inputs["Detail"].default_value = 1.0 / (STAIN_METERS * scale), STAIN_OCTAVES
+    noise.inputs["Roughness"].default_value = STAIN_GAIN
+    stains = ramp(builder, builder.math("ADD", noise.outputs[0], builder.multiply_add(random, 0.3, -0.15)), 0.5, 0.12)
+    color = builder.mix(stains, tuple(ground.rock.tolist()), tuple(ground.layers.tolist()))
+    brightness = builder.math("MULTIPLY", builder.attribute(SHADE, is_scalar=True), builder.multiply_add(random, 0.4, 0.7))
+    principled, bump = builder.node("ShaderNodeBsdfPrincipled"), builder.node("ShaderNodeBump")
+    builder.connect(builder.vector("SCALE", color, brightness), principled.inputs["Base Color"])
+    principled.inputs["Roughness"].default_value, principled.inputs["Specular IOR Level"].default_value = 0.9, 0.25
+    builder.connect(noise.outputs[0], bump.inputs["Height"])
+    bump.inputs["Distance"].default_value = BUMP_METERS * scale
+    builder.connect(bump.outputs[0], principled.inputs["Normal"])
+    builder.connect(principled.outputs[0], builder.node("ShaderNodeOutputMaterial").inputs["Surface"])
+    builder.arrange()
+    show_color(material, (*ground.rock.tolist(), 1.0))
+    return material
+
+
 def _create_material(name: str, color: np.ndarray, is_leaf: bool = False) -> bpy.types.Material:
-    """Create a material whose color varies from instance to instance, and by the attribute `SHADE`."""
+    """Create a material of wood or leaves whose color varies from instance to instance, and by the attribute `SHADE`."""
     material, builder = create_node_material(name)
     random = builder.node("ShaderNodeObjectInfo").outputs["Random"]
     variation = builder.math("ADD", builder.math("MULTIPLY", random, 0.5), 0.75)
