@@ -97,7 +97,8 @@ STONES = Layer(
 )  # fmt: skip
 DEBRIS = Layer(
     "Rubble", "Far Rubble", 80.0, 1.9, 395.0, 1.0,
-    steepest=0.68, clump_size=20.0, clumps=0.5, align=0.8, size=4.0, variation=0.9, is_plant=False, tilt=0.2, reach=14.0, debris=1.0,
+    steepest=0.68, clump_size=20.0, clumps=0.5, align=0.8, size=4.0, variation=0.9, is_plant=False, clearance=3.0, tilt=0.2,
+    reach=14.0, debris=1.0,
 )  # fmt: skip
 CONIFERS = Layer(
     "Conifer", "Far Conifer", 70.0, 4.2, 850.0, 0.6,

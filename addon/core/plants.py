@@ -55,10 +55,10 @@ class RockForm:
 
 ROCK_FORMS = {
     "boulder": RockForm(24, 0.0, (0.42, 0.34, 0.26), 0.13),
-    "slab": RockForm(14, 0.6, (0.5, 0.36, 0.11), 0.05),
-    "block": RockForm(10, 0.7, (0.42, 0.36, 0.34), 0.05),
-    "cobble": RockForm(28, 1.0, (0.45, 0.38, 0.3), 0.06),
-    "shard": RockForm(9, 0.4, (0.55, 0.2, 0.24), 0.07),
+    "slab": RockForm(14, 0.6, (0.5, 0.36, 0.11), 0.07),
+    "block": RockForm(10, 0.7, (0.42, 0.36, 0.34), 0.09),
+    "cobble": RockForm(28, 1.0, (0.45, 0.38, 0.3), 0.08),
+    "shard": RockForm(9, 0.4, (0.55, 0.2, 0.24), 0.09),
 }
 
 
