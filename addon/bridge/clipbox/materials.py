@@ -68,9 +68,9 @@ DEFAULTS_BY_TERRAIN = {  # Other values than DEFAULTS.
     },
     "lava": {  # Young flows in hollows are black, old ones rusty, bare ground is yellow of sulfur.
         "Rock": (0.068, 0.059, 0.054, 1.0), "Strata": (0.125, 0.075, 0.05, 1.0), "Scree": (0.14, 0.112, 0.072, 1.0),
-        "Grass": (0.066, 0.06, 0.056, 1.0), "Undergrowth": (0.024, 0.022, 0.022, 1.0), "Dry Grass": (0.125, 0.07, 0.046, 1.0),
+        "Grass": (0.066, 0.06, 0.056, 1.0), "Undergrowth": (0.024, 0.022, 0.022, 1.0), "Dry Grass": (0.118, 0.07, 0.048, 1.0),
         "Snow": (0.13, 0.08, 0.054, 1.0), "Sand": (0.042, 0.038, 0.037, 1.0), "Stones": 0.3, "Rock Slope": 0.78, "Roughness": 0.8,
-        "Blades": 0.0, "Moisture": 0.1,
+        "Blades": 0.0, "Moisture": 0.22,
     },
 }  # fmt: skip
 

@@ -11,8 +11,8 @@ HEIGHT_MOISTURE, NORTH_MOISTURE, STEEPNESS_MOISTURE = -0.3, 0.7, -0.5  # By heig
 DRY, WET, SOFTNESS = -0.22, 0.24, 0.2  # The moisture at which grass is half dry, and half undergrowth; half the width of these borders.
 WETTEST = 0.75  # How much undergrowth there is at most.
 # Patches of bare soil, and of plants of other hues: meters. Dry soil is bare where this noise is high and tussocks are low.
-WEAR_WAVELENGTH, WEAR_OCTAVES, WEAR_GAIN = 60.0, 6, 0.7
-BARE, BARE_SOFTNESS, BARE_DRYNESS, BARE_TUSSOCKS, BAREST = 0.27, 0.07, 0.22, 0.6, 0.85
+WEAR_WAVELENGTH, WEAR_OCTAVES, WEAR_GAIN = 60.0, 4, 0.7
+BARE, BARE_SOFTNESS, BARE_DRYNESS, BARE_TUSSOCKS, BAREST = 0.22, 0.07, 0.27, 0.6, 0.85
 EARTH = (0.62, 0.48, 0.36)  # Color of bare soil, relative to that of rock debris.
 HUES, HUE_RANGE = ((0.8, 0.92, 0.88), (1.24, 1.08, 0.8)), 0.2  # Factors of colors of plants, and noise at which they are these.
 # Tufts: the wavelength of the largest in meters, and their octaves; the taps along a blade, and the length between them on the ground.
