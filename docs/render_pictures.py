@@ -4,7 +4,7 @@ From the scene of the demo: tree (the tree and its cloud), levels (all levels, t
 (hundreds of trees, each with the level for its distance) and crossfade (a camera that moves away from one tree). Copied from the demo's
 folder: relighting, forest, photos, terrain and texmesh. Independent of the demo: head (a closed surface with a procedural material),
 relight (its relightable cloud under several Sun directions), unwrap (this surface with a checker on three UV maps), restore (a texture with
-a hole, restored with several settings), landscape, desert and coast (mountains, mesas and cliffs in nested boxes), woods and steppe (with
+a hole, restored with several settings), landscape, canyon, lava, karst, desert and coast (terrains in nested boxes), woods and steppe (with
 plants on them), copses (voxel trees in nested boxes) and walk (twelve frames of a walk through caves), cliffs (a terrain with cliffs as a
 network of triangles and as right triangles), distance (a valley that was made distance-ready, half of it colored by level) and flight (the
 same as an animation).
@@ -60,7 +60,7 @@ HEAD_VOXEL = 0.04
 MAP_PIXELS = 300
 MAP_MARGIN = 45  # empty pixels along the edges of the render
 CROSSFADE_PIXELS = 332
-WIDE_PIXELS, WIDE_SAMPLES = 1600, 32  # Of denoised pictures as wide as a page.
+WIDE_PIXELS, WIDE_SAMPLES = 1600, 16  # Of denoised pictures as wide as a page.
 FLIGHT_WIDTH = 480
 RELIGHT_PIXELS = 426
 RELIGHT_ERROR = 0.01
