@@ -66,7 +66,7 @@ WIDE_VIEWS = {
     "lava": WideView(_SETTINGS(terrain="lava"), (136.0, -1482.0, 14.0), (-492.0, -1020.0, 62.0), "", SkySettings(light="golden_hour")),
     "karst": WideView(_SETTINGS(terrain="karst", voxel_size=0.75), (584.0, -645.0, 129.0), (487.0, -619.0, 107.0), "forest"),
     "desert": WideView(_SETTINGS(terrain="mesas", seed=2), (256.0, -208.0, -45.0), (420.0, 157.0, -35.0)),
-    "coast": WideView(_SETTINGS(terrain="coast", water=True, seed=0, voxel_size=0.75), (1050.0, -500.0, 30.0), (700.0, 0.0, 20.0), "meadow"),
+    "coast": WideView(_SETTINGS(terrain="coast", water=True, voxel_size=0.75), (1050.0, -500.0, 30.0), (700.0, 0.0, 20.0), "meadow"),
     "woods": WideView(_SETTINGS(terrain="hills", seed=3, resolution=128), (300.0, 300.0, 26.6), (-200.0, 320.0, 11.6), "forest"),
     "steppe": WideView(_SETTINGS(terrain="mesas", seed=2, resolution=128), (256.0, -208.0, -63.2), (420.0, 157.0, -61.2), "steppe"),
 }
