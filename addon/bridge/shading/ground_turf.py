@@ -14,7 +14,7 @@ WETTEST = 0.75  # How much undergrowth there is at most.
 WEAR_WAVELENGTH, WEAR_OCTAVES, WEAR_GAIN = 60.0, 4, 0.7
 BARE, BARE_SOFTNESS, BARE_DRYNESS, BARE_TUSSOCKS, BAREST = 0.22, 0.07, 0.27, 0.6, 0.85
 EARTH = (0.62, 0.48, 0.36)  # Color of bare soil, relative to that of rock debris.
-HUES, HUE_RANGE = ((0.8, 0.92, 0.88), (1.24, 1.08, 0.8)), 0.2  # Factors of colors of plants, and noise at which they are these.
+COLOR_FACTORS, COLOR_RANGE = ((0.8, 0.92, 0.88), (1.24, 1.08, 0.8)), 0.2  # Factors of colors of plants, and noise at which they are these.
 # Tufts: the wavelength of the largest in meters, and their octaves; the taps along a blade, and the length between them on the ground.
 TUFT_WAVELENGTH, TUFT_OCTAVES, TUFT_GAIN, TAPS, TAP_LENGTH = 0.1, 4, 0.75, 4, 0.036
 ROOT_SHADE, TIP_SHADE = 0.58, 1.68
@@ -49,7 +49,7 @@ def add_turf(noise: GroundNoise, bumps: GroundBumps, uneven: bpy.types.NodeSocke
     color = builder.mix(ramp(builder, moisture, DRY, SOFTNESS), inputs["Dry Grass"], inputs["Grass"])
     color = builder.mix(ramp(builder, moisture, WET, SOFTNESS, 0.0, WETTEST), color, inputs["Undergrowth"])
     wear = noise.noise(builder.math("MULTIPLY", inputs["Meter"], WEAR_WAVELENGTH), WEAR_OCTAVES, gain=WEAR_GAIN, dimensions="2D")
-    color = builder.vector("MULTIPLY", color, builder.mix(ramp(builder, wear, 0.0, HUE_RANGE / NOISE_RANGE), *HUES))
+    color = builder.vector("MULTIPLY", color, builder.mix(ramp(builder, wear, 0.0, COLOR_RANGE / NOISE_RANGE), *COLOR_FACTORS))
     shade, tips = _add_blades(noise)
     color = builder.mix(builder.math("MULTIPLY", tips, DRY_TIPS), color, inputs["Dry Grass"])
     tussocks = noise.noise(
