@@ -17,9 +17,9 @@ EARTH = (0.62, 0.48, 0.36)  # Color of bare soil, relative to that of rock debri
 COLOR_FACTORS, COLOR_RANGE = ((0.8, 0.92, 0.88), (1.24, 1.08, 0.8)), 0.2  # Factors of colors of plants, and noise at which they are these.
 # Tufts: the wavelength of the largest in meters, and their octaves; the taps along a blade, and the length between them on the ground.
 TUFT_WAVELENGTH, TUFT_OCTAVES, TUFT_GAIN, TAPS, TAP_LENGTH = 0.1, 4, 0.75, 4, 0.036
-ROOT_SHADE, TIP_SHADE = 0.58, 1.68
+ROOT_SHADE, TIP_SHADE = 0.58, 1.6
 BLADE_LIMITS, BLADE_SHARPNESS = (-0.45, 0.35), 1.8  # Noise above which there are blades, at the lowest and at the highest tap.
-DRY_TIPS = 0.3
+DRY_TIPS = 0.2
 # Tussocks, which are seen where blades are too small: meters, octaves, and their contrast and height by noise between -0.5 and 0.5.
 TUSSOCK_WAVELENGTH, TUSSOCK_OCTAVES, TUSSOCK_GAIN, TUSSOCK_CONTRAST, TUSSOCK_HEIGHT = 3.0, 5, 0.7, 0.9, 0.5
 
