@@ -16,6 +16,7 @@ import pytest
 
 from lib import blender_window, environment
 from programs import describe_missing
+from shared_results import FOLDER_VARIABLE
 
 NEEDS_MORE_THAN_CORE = re.compile(r"\b(bpy|empty_scene|environment|extension|gui|scheduler|subprocess)\b")
 
@@ -27,6 +28,8 @@ os.environ[blender_window.CACHE_VARIABLE] = os.environ["LOCALAPPDATA"] = TEMPORA
 for variable in ("TMPDIR", "TEMP", "TMP"):
     os.environ[variable] = tempfile.tempdir = TEMPORARY_FOLDER
 
+os.environ.setdefault(FOLDER_VARIABLE, TEMPORARY_FOLDER)  # the folder of the process that starts the others
+
 environment.import_farfield()
 environment.find_blender_modules()
 # Machines are shared: no test fails for being slow.
@@ -35,15 +38,16 @@ hypothesis.settings.load_profile("no_deadline")
 # Of collections of garbage, one in 70 is left. The collection of the tests and the syntax trees of all files otherwise take twice as long.
 gc.set_threshold(50_000, 20, 20)
 # Without --all, a test takes this fraction of the random examples that it asks for, but MIN_EXAMPLES if it asks for as many.
-EXAMPLES_FRACTION, MIN_EXAMPLES = 0.25, 5
+EXAMPLES_FRACTION, MIN_EXAMPLES = 0.1, 5
 
 
 @pytest.fixture(scope="session")
-def extension(tmp_path_factory) -> Iterator:
+def extension() -> Iterator:
     """The package `farfield`, registered in Blender once for the whole session. At the end it is unregistered, or Blender 4.5 hangs.
 
     Colors of clouds are fitted to fewer and smaller renders than usual, except in `test_luminance_fit`: 45 renders of a box would take
-    three quarters of the time of its build. The nodes of the ground are made once: they would take most of the time of a small terrain.
+    three quarters of the time of its build. The nodes of the ground are made once per run: they would take most of the time of a small
+    terrain.
     """
     package = environment.import_farfield()
     pytest.importorskip("bpy")
@@ -52,7 +56,7 @@ def extension(tmp_path_factory) -> Iterator:
     from kept_ground import keep_ground_group
 
     with pytest.MonkeyPatch.context() as patch:
-        keep_ground_group(patch, tmp_path_factory.mktemp("ground"))
+        keep_ground_group(patch)
         patch.setattr(luminance_fit, "VIEW_COUNT", 8)
         patch.setattr(luminance_fit, "RESOLUTION", 32)
         yield package

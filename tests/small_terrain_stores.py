@@ -2,7 +2,6 @@
 
 import hashlib
 import shutil
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,10 +20,10 @@ from farfield.addon.core.bdam.view.cut_meshes import CutMesh, merge_patches
 from farfield.addon.core.bdam.view.extraction import Cut
 from farfield.addon.core.geometry.placements import ProjectedFrame
 from farfield.addon.core.jobs.progress import run_to_end
+from shared_results import make_once
 from texture_builds import build_textures, stretch_over_field
 
 CELL_SIZE = 10.0
-_built: dict[str, Path] = {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +69,7 @@ def colors(size: int = 1024) -> np.ndarray:
 
 
 def build_store(folder: Path, heights: np.ndarray, leaf: str = "16", height_step: float = 0.01) -> Path:
-    """Build the store of heights (rows, columns) in `folder`, without texture. Each process builds the same store once and copies it."""
+    """Build the store of heights (rows, columns) in `folder`, without texture. Each run builds the same store once and copies it."""
 
     def build(target: Path) -> None:
         settings = BdamSettings(patch_size=leaf, height_step=height_step, executor="serial", fill_holes="none", normal_maps=False)
@@ -80,7 +79,7 @@ def build_store(folder: Path, heights: np.ndarray, leaf: str = "16", height_step
 
 
 def add_texture(folder: Path, image: np.ndarray, image_format: str = "jpeg") -> Path:
-    """Add an image (H, W, 3 or 4) uint8, row 0 in the south, over the whole field to a store that `build_store` has built. Each process
+    """Add an image (H, W, 3 or 4) uint8, row 0 in the south, over the whole field to a store that `build_store` has built. Each run
     does so once for the same store and image, and copies the result."""
     content = b"".join(path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file())
     plain = folder.with_name(f"{folder.name} without texture")
@@ -96,13 +95,9 @@ def add_texture(folder: Path, image: np.ndarray, image_format: str = "jpeg") -> 
 
 
 def _build_once(folder: Path, settings: str, values: np.ndarray, build: Callable[[Path], None]) -> Path:
-    """Let `build` create a folder, or copy the one that it has created for the same settings and array to `folder`."""
+    """Let `build` create a folder, or copy the one that it has created in this run for the same settings and array to `folder`."""
     key = hashlib.sha256(settings.encode() + np.ascontiguousarray(values).tobytes()).hexdigest()
-    if key not in _built:
-        target = Path(tempfile.mkdtemp(prefix="farfield-stores-")) / folder.name  # in the folder that conftest.py removes
-        build(target)
-        _built[key] = target
-    shutil.copytree(_built[key], folder)
+    shutil.copytree(make_once(f"store-{key}", build), folder)
     return folder
 
 

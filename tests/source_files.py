@@ -19,15 +19,9 @@ OUTPUT_FOLDERS = {ROOT / "build", ROOT / "dist", ROOT / "out"}
 LEAVES = {ast.Constant, ast.Name, ast.alias}  # Half of all nodes: they contain no other nodes but the contexts of names.
 
 
-@cache
-def parse(text: str) -> ast.Module:
-    """The syntax tree of a Python file, which all tests of a process share."""
-    return ast.parse(text)
-
-
 def parse_file(path: Path) -> ast.Module:
-    """The syntax tree of the Python file `path`."""
-    return parse(path.read_text(encoding="utf-8"))
+    """The syntax tree of the Python file `path`. Keep few of them: the garbage collector visits all their nodes again and again."""
+    return ast.parse(path.read_text(encoding="utf-8"))
 
 
 def walk(tree: ast.AST) -> list[ast.AST]:
@@ -61,7 +55,7 @@ class SourceFile:
 
     @cached_property
     def tree(self) -> ast.Module:
-        return parse(self.text)
+        return ast.parse(self.text)
 
     @cached_property
     def nodes(self) -> dict[type[ast.AST], list[ast.AST]]:

@@ -98,7 +98,7 @@ def unused_definitions() -> list[str]:
 
 
 def test_every_module_of_the_extension_is_reached():
-    modules = {path for path in (ROOT / "addon").rglob("*.py") if parse_file(path).body}
+    modules = {path for path in (ROOT / "addon").rglob("*.py") if path.stat().st_size}
     unreached = sorted(path.relative_to(ROOT).as_posix() for path in modules - reached_files())
     assert not unreached, "neither the extension nor a script needs\n" + "\n".join(unreached)
 
@@ -110,8 +110,9 @@ def test_every_function_and_class_of_the_extension_is_used():
 
 
 def test_no_exception_is_out_of_date():
-    defined = {node.name for path in (ROOT / "addon").rglob("*.py") for node in parse_file(path).body if hasattr(node, "name")}
-    assert set(UNUSED_ON_PURPOSE) <= defined
+    source = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "addon").rglob("*.py"))
+    for name in UNUSED_ON_PURPOSE:
+        assert re.search(rf"^(?:def|class) {name}\b", source, re.MULTILINE), name
 
 
 def test_reaching_follows_imports_workers_and_start_scripts():

@@ -247,6 +247,7 @@ def test_an_image_that_cannot_be_read_leaves_nothing(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["ground.png", "heights.npy"]
 
 
+@pytest.mark.slow
 def test_filled_holes_have_all_triangles_and_known_heights_stay(tmp_path):
     source = write_source(tmp_path)
     run_to_end(steps_of([source], tmp_path / "store", fill_holes="all", height_step=0.01))

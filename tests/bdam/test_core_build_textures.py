@@ -120,6 +120,7 @@ def test_world_files_place_images_and_later_ones_lie_on_top(tmp_path):
         assert np.abs(reds[(east > 405.0) & (east < 990.0)].astype(int) - 200).max() <= 1
 
 
+@pytest.mark.slow
 def test_an_image_in_degrees_lies_on_a_field_in_utm(tmp_path):
     (west, east), (south, north) = Utm(32).unproject(np.array([WEST + 200.0, WEST + 700.0]), np.array([NORTH - 700.0, NORTH - 200.0]))
     tags = map_tags(((east - west) / 300, (north - south) / 300), (west, north), AREA_KEYS)

@@ -81,6 +81,7 @@ def test_boxes_contain_their_patches_and_those_of_their_children(store):
     assert (store.bounds[children, 6] <= store.bounds[parents, 6]).all()
 
 
+@pytest.mark.slow
 def test_no_visible_sample_moves_farther_than_the_tolerance(store):
     random = np.random.default_rng(2)
     points = np.stack([X, Y], axis=1)

@@ -208,6 +208,7 @@ def test_cuts_avoid_any_damaged_patches_without_cracks(folder, viewer, seed, cou
             assert all(any(f"{label} " in sentence for label in labels) for sentence in extracted.warnings)
 
 
+@pytest.mark.slow
 @settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 12))
 def test_the_ground_over_damaged_leaves_is_that_of_the_coarser_patches_that_replace_them(folder, seed, count):

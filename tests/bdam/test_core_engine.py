@@ -36,7 +36,7 @@ def folders(tmp_path_factory):
     heights = hills(SIZE, SIZE)
     heights[HOLE[1] - 3 : HOLE[1] + 3, HOLE[0] - 3 : HOLE[0] + 3] = np.nan
     plain = build_store(tmp_path_factory.mktemp("stores") / "plain", heights)
-    return {"plain": plain, "texture": add_texture(build_store(plain.with_name("texture"), heights), colors(2048))}
+    return {"plain": plain, "texture": add_texture(build_store(plain.with_name("texture"), heights), colors(1024))}
 
 
 def look_at(eye, target, is_interactive=False, size=(800, 600)) -> Viewer:

@@ -157,7 +157,7 @@ def erode_steps(steps, folder):
 
 
 @pytest.mark.parametrize(("sea", "floor"), [(0, -300), (0, 0), (700, 700)])
-@pytest.mark.parametrize("max_complete", [1_000_000, 5000])
+@pytest.mark.parametrize("max_complete", [pytest.param(1_000_000, marks=pytest.mark.exhaustive), 5000])
 def test_the_sea_keeps_its_heights_exactly(tmp_path, monkeypatch, sea, floor, max_complete):
     monkeypatch.setattr(erosion, "MAX_COMPLETE", max_complete)
     monkeypatch.setattr(erosion, "TILE", 96)

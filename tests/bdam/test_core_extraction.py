@@ -115,6 +115,7 @@ def test_no_visible_sample_moves_farther_than_the_tolerance(store, heights, kind
     assert max(largest) > 0.2, "the bound is not far from what happens"
 
 
+@pytest.mark.slow
 def test_a_smaller_tolerance_never_takes_fewer_patches(store):
     random = np.random.default_rng(3)
     for _ in range(8):

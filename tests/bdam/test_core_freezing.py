@@ -78,6 +78,7 @@ def test_the_union_cut_satisfies_every_frame_without_cracks(stores, seed, count,
     assert are_open_edges_on_border(*(mesh.positions[:, :2].T / EXTENT), mesh.triangles)
 
 
+@pytest.mark.slow
 @settings(max_examples=10)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_union_cut_of_one_frame_is_its_cut(stores, seed):
@@ -115,7 +116,7 @@ def freeze(store: TerrainStore, viewers: list[Viewer], **values) -> tuple[Cut, l
     return cut, meshes
 
 
-@pytest.mark.parametrize("name", ["plain", "texture"])
+@pytest.mark.parametrize("name", [pytest.param("plain", marks=pytest.mark.exhaustive), "texture"])
 def test_joined_meshes_have_the_vertices_of_the_cut_and_no_cracks(stores, name):
     store = stores[name]
     cut, meshes = freeze(store, path(3, 5), exaggeration=2.0)

@@ -209,6 +209,7 @@ def test_cuts_of_a_geographic_grid_are_within_their_errors_in_meters(tmp_path):
             assert distances[is_inside].max() <= max_error * (1.0 + 1e-6)
 
 
+@pytest.mark.slow
 def test_a_cut_is_within_its_error_where_the_finest_one_is_shown_beside_holes(tmp_path):
     random = np.random.default_rng(7)
     heights = hills(65, 65) + random.normal(0.0, 10.0, (65, 65))

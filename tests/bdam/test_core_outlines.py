@@ -46,6 +46,7 @@ def test_outlines_cover_their_triangles_with_all_boundary_vertices(store):
     assert count > 20
 
 
+@pytest.mark.slow
 def test_patches_with_holes_or_beyond_the_field_have_no_outline_but_themselves(store):
     cache, count = PatchCache(store), 0
     for level, row, patch, corners in all_patches(store):
@@ -66,6 +67,7 @@ def test_outlines_have_the_vertices_and_normals_of_their_patches(store):
                 assert np.array_equal(getattr(outline, name), getattr(full, name)[patch.boundary])
 
 
+@pytest.mark.slow
 def test_views_see_no_outlines(store):
     low, high = store.levels[0].low.min(axis=0).astype(float), store.levels[0].high.max(axis=0).astype(float)
     random, cache, outlines = np.random.default_rng(2), PatchCache(store), 0

@@ -15,7 +15,7 @@ from small_terrain_stores import CELL_SIZE, add_texture, build_store, colors, hi
 
 pytest.importorskip("PIL")
 pytest.importorskip("zstandard")
-SIZE = 145  # samples per side
+SIZE = 129  # samples per side
 EXTENT = 0.5 * CELL_SIZE * (SIZE - 1)
 INTERVAL = 0.1  # seconds between two moves
 PROJECTION = Projection("perspective", (-0.47, 0.47, -0.35, 0.35), (800, 600), 1.0, 1e5)

@@ -88,6 +88,7 @@ def test_every_byte_survives_linear_light():
     assert np.array_equal(ENCODED[4 * QUARTERS.astype(int)], codes)
 
 
+@pytest.mark.slow
 def test_one_color_stays_that_color_at_every_level(tmp_path):
     color = np.array([3, 97, 250], np.uint8)
     with build(tmp_path, np.broadcast_to(color, (700, 700, 3)), levels=3) as store:
@@ -110,6 +111,7 @@ def test_a_coarse_texel_is_the_mean_of_all_pixels_below_it(photographed):
     assert np.abs(inner - encode_linear(means)).max() <= 1
 
 
+@pytest.mark.slow
 def test_uv_leads_to_the_same_color_in_every_tile_of_a_level(tmp_path):
     """A ramp along x and y is linear, so that its interpolated colors tell where the texture says that a position is."""
     size = 1200

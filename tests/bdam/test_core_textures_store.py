@@ -102,6 +102,7 @@ def test_files_that_do_not_belong_together_are_refused(store_folder):
             TextureStore(store_folder)
 
 
+@pytest.mark.slow
 def test_tiles_of_other_textures_are_refused(store_folder, tmp_path_factory, pixels):
     other = write_store(tmp_path_factory.mktemp("other"), pixels[::-1])
     for name in (TILES_FILE, backup_path(Path(TILES_FILE)).name):

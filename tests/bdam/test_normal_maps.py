@@ -43,6 +43,7 @@ def read_normals(store, number):
     return 2.0 * LINEAR_OF_BYTE.take(store.normals.read(number)[..., :2]) - 1.0
 
 
+@pytest.mark.slow
 def test_a_plane_has_its_normal_at_all_levels(tmp_path):
     y, x = np.mgrid[0:33, 0:600] * CELL_SIZE
     with TerrainStore(build(tmp_path / "store", 0.6 * x - 0.3 * y)) as store:
@@ -77,6 +78,7 @@ def test_normals_of_a_grid_of_degrees_are_those_in_meters(tmp_path):
     assert np.array_equal(source.read(slice(9, 12), slice(20, 30)), source.read(slice(3, 30), slice(0, columns))[6:9, 20:30])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("pixels", "color_levels"), [(256, 1), pytest.param(2400, 5, marks=pytest.mark.slow)])
 def test_a_square_shows_the_part_of_each_map_that_covers_it(tmp_path, pixels, color_levels):
     """A coarse image and finer normal maps, and the other way round, meet in one quadtree."""
@@ -155,6 +157,7 @@ def test_coarse_triangles_are_shaded_like_the_finest_ones(tmp_path, kind):
     assert full.std() > 0.05 and np.abs(mapped - full).mean() < 0.35 * np.abs(plain - full).mean()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("empty_scene")
 def test_curved_ground_is_shaded_as_curved_with_normal_maps_and_without(tmp_path, monkeypatch):
     for module in (curvature, materials):

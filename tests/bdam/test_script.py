@@ -166,6 +166,7 @@ def test_an_obj_and_a_glb_have_the_textures(colored):
     check_colors(mesh)
 
 
+@pytest.mark.slow
 def test_verify_names_what_is_damaged(folder, tmp_path):
     assert "undamaged" in run("verify", folder / "store")
     write_source(tmp_path / "hills.npy")

@@ -203,6 +203,7 @@ def test_unnecessary_quads_of_a_plane_cost_no_texture():
     assert budgeted.levels[0].error == default.levels[0].error
 
 
+@pytest.mark.slow
 def test_budget_above_the_number_of_faces_is_allowed():
     mesh = shapes.sphere(4)
     assert len(build_test_cloud(mesh, quads=10_000, levels=1).levels[0].quads) <= len(mesh.triangles)

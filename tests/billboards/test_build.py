@@ -111,6 +111,7 @@ class TestBounds:
         first, second = (build_test_cloud(mesh, method=method, seed=3).levels[0] for _ in range(2))
         assert level_bytes(first) == level_bytes(second)
 
+    @pytest.mark.slow
     def test_levels_side_by_side_equal_levels_one_after_the_other(self, monkeypatch):
         """And those of builds of their own, so that no level depends on what another thread does."""
         mesh, settings = bumpy_sphere(5), {"error": 0.04, "levels": 3}

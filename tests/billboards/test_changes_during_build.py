@@ -100,6 +100,7 @@ def test_a_removed_scene(source):
     assert not levels()
 
 
+@pytest.mark.slow
 def test_a_removed_earlier_cloud(source):
     finish_after(lambda: None, textures=False)
     select(*levels().values())

@@ -68,6 +68,7 @@ def test_plane_is_one_quad_with_its_area_in_texels():
     assert 0.5 < texels / (1.0 / 0.005) ** 2 < 2.0
 
 
+@pytest.mark.slow
 def test_budgets_are_kept():
     sample = sample_geometry(sphere(), "sphere")
     assert 100 <= estimate_levels(sample, BillboardSettings(quads=200))[0].quads <= 200

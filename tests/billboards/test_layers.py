@@ -117,7 +117,10 @@ def test_strengths_of_lights_keep_their_ratio():
     assert read_pixels(images[0])[..., :3].max() == 1.0
 
 
-@pytest.mark.parametrize("wiring, color, emission", [("plain", 0.0, 4.0), ("grouped", 0.0, 4.0), ("mixed", 0.5, 2.0), ("added", 1.0, 4.0)])
+@pytest.mark.parametrize(
+    "wiring, color, emission",
+    [pytest.param("plain", 0.0, 4.0, marks=pytest.mark.exhaustive), ("grouped", 0.0, 4.0), ("mixed", 0.5, 2.0), ("added", 1.0, 4.0)],
+)
 def test_emission_shaders_are_no_base_color(wiring, color, emission):
     material = with_shader("Light", "ShaderNodeEmission", wiring, Color=(1.0, 1.0, 1.0, 1.0), Strength=4.0)
     _, _, (textures,) = capture(blender_scenes.box(material=material))

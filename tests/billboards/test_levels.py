@@ -143,6 +143,7 @@ def test_a_corner_is_cut_only_where_it_saves_sixteen_pixels():
     assert build(triangle, error=0.2, levels=1).levels[0].triangle_count == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["clusters", "hough", pytest.param("decimate", marks=pytest.mark.exhaustive)])
 def test_level_does_not_depend_on_coarser_ones(method):
     mesh = box(cuts=2)

@@ -391,6 +391,7 @@ class TestEstimates:
         assert sorted(item.name for item in bpy.data.objects) == before
         assert estimates.cache.find(self.key()).levels
 
+    @pytest.mark.slow
     def test_other_settings_need_another_estimate(self):
         cube()
         bpy.ops.farfield.billboards_estimate()
@@ -418,6 +419,7 @@ class TestEstimates:
         assert estimates.cache.find(self.key()).levels[0].quads == 6
         estimates.cache.clear()
 
+    @pytest.mark.slow
     def test_estimates_of_deleted_objects_are_evicted(self):
         item = cube()
         bpy.ops.farfield.billboards_estimate()

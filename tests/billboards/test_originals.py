@@ -248,6 +248,7 @@ class TestBuildAgain:
         build(levels=1)
         assert len(levels()) == 2 and is_hidden(points)
 
+    @pytest.mark.slow
     def test_the_estimate_is_that_of_the_original(self, capfd):
         cube()
         bpy.ops.farfield.billboards_estimate()

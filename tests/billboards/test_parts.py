@@ -129,6 +129,7 @@ def test_budgets_count_charts(name, budget):
     assert name == "texture_mb" or 0.7 * budget <= usage[name] <= budget
 
 
+@pytest.mark.slow
 def test_a_part_that_needs_too_many_triangles_has_no_mesh():
     mesh = bumpy_sphere(10)
     part = Part(mesh.corners)

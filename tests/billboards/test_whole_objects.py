@@ -229,6 +229,7 @@ class TestEstimate:
         select(*levels().values(), cube("Two", location=(5.0, 0.0, 0.0)))
         assert describe_selection(bpy.context, False) == "2 clouds, one per object."
 
+    @pytest.mark.slow
     def test_it_takes_the_same_setting_as_the_build(self):
         group = bpy.context.scene.farfield_billboards
         group.levels = 1

@@ -217,6 +217,7 @@ class TestEstimateCache:
         cloud.collection.name = "Renamed"
         assert cache.estimate(cloud, self.settings).seconds == pytest.approx(100.0)
 
+    @pytest.mark.slow
     def test_a_deleted_cloud_is_evicted(self, cloud):
         cache = EstimateCache()
         cache.remember_pace(cloud, self.settings, 100.0)

@@ -113,6 +113,7 @@ def test_damaged_floats_of_a_tiff_print_no_warning(tmp_path):
     assert (heights[0] == 5.0).all() and function is not None
 
 
+@pytest.mark.slow
 def test_damaged_tags_of_a_tiff_print_nothing(tmp_path):
     pytest.importorskip("tifffile").imwrite(tmp_path / "map.tif", np.ones((16, 16), np.float32), metadata=None)
     content = (tmp_path / "map.tif").read_bytes()

@@ -71,7 +71,7 @@ class TestView:
         current.stop()
         assert not bpy.ops.farfield.clipbox_follow_view.poll() and bpy.ops.farfield.clipbox_create.poll()
 
-    @pytest.mark.parametrize("accident", ["removed", "renamed"])
+    @pytest.mark.parametrize("accident", ["removed", pytest.param("renamed", marks=pytest.mark.exhaustive)])
     def test_it_ends_with_a_sentence_when_the_terrain_is_gone(self, terrain, accident, capsys):
         current.start(terrain, None, 0.05)
         if accident == "removed":
@@ -115,6 +115,7 @@ class TestView:
         handlers._after_undo()
         assert run_timer(lambda: terrain.viewer.tolist() == [30.0, 0.0, 20.0])
 
+    @pytest.mark.slow
     def test_it_waits_while_something_uses_the_scene(self, terrain, monkeypatch):
         current.start(terrain, None, 0.05)
         move_camera(30.0, 0.0, 20.0)
@@ -154,6 +155,7 @@ class TestFastViewer:
         current.stop()
         assert geometry_bytes(fast) == geometry_bytes(create())
 
+    @pytest.mark.slow
     def test_they_are_shown_when_following_ends(self, fast):
         current.complete()
         current.stop()
@@ -188,6 +190,7 @@ def test_handlers_that_another_add_on_has_removed_do_not_disturb(terrain):
         getattr(bpy.app.handlers, name)[:] = before[name]
 
 
+@pytest.mark.slow
 def test_terrains_that_swap_names_keep_their_engines():
     camera_at(0.0, 0.0, 20.0)
     first = create()

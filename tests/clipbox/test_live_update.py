@@ -70,6 +70,7 @@ def test_a_change_during_a_build_starts_another_one(terrain):
     assert "5 - z" not in seen
 
 
+@pytest.mark.slow
 def test_an_edit_that_moves_rebuilds_the_terrain(terrain):
     ball = bpy.data.objects.new("Ball", None)
     bpy.context.scene.collection.objects.link(ball)

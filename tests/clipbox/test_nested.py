@@ -20,10 +20,10 @@ from watertight import directed_edge_counts, directed_edges, open_edges
 
 VARIANTS = [
     {"terrain": "cascades", "smooth_moves": True},
-    {"terrain": "mesas", "threshold": 2},
+    pytest.param({"terrain": "mesas", "threshold": 2}, marks=pytest.mark.exhaustive),
     pytest.param({"terrain": "spheres"}, marks=pytest.mark.exhaustive),
     {"terrain": "islands", "surface": "blocky"},
-    {"terrain": "sine", "surface": "blocky", "smoothing": 3, "threshold": 3},
+    pytest.param({"terrain": "sine", "surface": "blocky", "smoothing": 3, "threshold": 3}, marks=pytest.mark.exhaustive),
     pytest.param({"terrain": "cascades", "smoothing": 2}, marks=pytest.mark.exhaustive),
     {"terrain": "cascades", "subdivided_boxes": 1, "threshold": 4, "smooth_moves": True},
     pytest.param({"terrain": "spheres", "subdivided_boxes": 2, "surface": "blocky", "smoothing": 1}, marks=pytest.mark.exhaustive),

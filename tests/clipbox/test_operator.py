@@ -126,6 +126,7 @@ def test_update_rebuilds_the_terrain_and_keeps_its_material():
     assert all(block.data.materials[0] == material for block in terrain.blocks().values())
 
 
+@pytest.mark.slow
 def test_ticks_show_the_same_as_a_build_from_scratch():
     camera_at(0.0, 0.0, 20.0)
     terrain = create()
@@ -150,6 +151,7 @@ def test_meshes_are_reused():
     assert len(bpy.data.meshes) <= mesh_count + 12
 
 
+@pytest.mark.slow
 def test_terrains_are_independent():
     camera_at(0.0, 0.0, 20.0)
     first, second = create(), create(terrain="islands")
@@ -238,6 +240,7 @@ def test_a_height_map_is_colored_by_its_ground_image(tmp_path):
         create(terrain="heights", **(files | {"source_color": str(tmp_path / "nowhere.png")}))
 
 
+@pytest.mark.slow
 def test_relative_paths_are_stored_so_that_they_stay_valid(tmp_path, monkeypatch):
     camera_at(0.0, 0.0, 20.0)
     monkeypatch.chdir(tmp_path)

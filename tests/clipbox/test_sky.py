@@ -89,6 +89,7 @@ def test_no_direction_of_the_world_is_black(tmp_path):
 def sky_seen(scene, folder, pitch, **settings):
     """The mean of the sky in a small field of view above the horizon, scene-linear."""
     sky.add_sky(scene, SkySettings(sun_direction=0.0, **settings))
+    scene.world.cycles.sampling_method = "NONE"  # The camera looks at the sky: nothing in the scene is lit by it.
     scene.camera.rotation_euler = (0.5 * math.pi + pitch, 0.0, 0.0)
     return render(scene, folder)
 

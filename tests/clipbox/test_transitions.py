@@ -45,8 +45,8 @@ def test_a_tunnel_narrows_and_closes_before_the_border(is_smooth):
 
 @pytest.mark.parametrize(
     ("terrain", "is_smooth"),
-    [("tunnel", True), ("tunnel", False), ("cascades", True), ("spheres", True)]
-    + [pytest.param(terrain, False, marks=pytest.mark.slow) for terrain in ("cascades", "spheres")],
+    [("tunnel", True), ("tunnel", False), ("cascades", True)]
+    + [pytest.param(*case, marks=pytest.mark.slow) for case in (("spheres", True), ("cascades", False), ("spheres", False))],
 )
 def test_no_box_ends_in_a_wall(terrain, is_smooth, monkeypatch):
     source = settings(terrain="spheres" if terrain == "spheres" else "cascades", boxes=4, resolution=48, smooth_moves=is_smooth)

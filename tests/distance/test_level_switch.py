@@ -59,7 +59,7 @@ def test_an_orthographic_camera_shows_one_level_at_all_distances(camera):
     assert [name for name, _ in shown()] == ["Box 1", "Far 1"]
 
 
-@pytest.mark.parametrize("way", ["separate", "nested"])
+@pytest.mark.parametrize("way", [pytest.param("separate", marks=pytest.mark.exhaustive), "nested"])
 def test_a_scatter_of_two_kinds(camera, way):
     kinds = [add_box("Large", size=0.8, linked=False), add_box("Small", size=0.4, linked=False)]
     points = [(0.0, 10.0 * number, 0.0) for number in range(1, 9)]

@@ -72,6 +72,7 @@ def test_perceptual_levels_of_an_object_and_its_linked_duplicate(camera):
     assert read_result(bpy.context.scene, "distance") == ["Objects that no longer show levels by distance: 2."]
 
 
+@pytest.mark.slow
 def test_an_object_that_is_light_when_decimated_gets_neither_perceptual_levels_nor_a_cloud(camera, monkeypatch):
     ball = textured_ball(24, "Ball")
     monkeypatch.setattr(core_levels, "MANY_TRIANGLES", len(ball.data.loops))
@@ -346,6 +347,7 @@ def test_the_analysis_looks_at_several_frames_and_ends_at_the_current_one(camera
     assert plan.nearest == pytest.approx(9.75, abs=0.01) and scene.frame_current == 1
 
 
+@pytest.mark.slow
 def test_the_method_of_an_object_and_its_error_factor(camera):
     first, second = add_ball(), add_ball(9.0)
     second.data = second.data.copy()
@@ -379,6 +381,7 @@ def test_a_budget_raises_the_error_until_levels_fit(camera, budget):
         assert "The budget is too small" in message, "all levels have the image of the ball"
 
 
+@pytest.mark.slow
 def test_drivers_run_without_permission_for_python(camera):
     add_ball(300.0)
     build(**QUICK)
@@ -403,6 +406,7 @@ def test_a_budget_of_seconds_is_tried_with_renders(camera, seconds):
     assert scene.cycles.samples == 2
 
 
+@pytest.mark.slow
 def test_a_budget_of_seconds_needs_cycles(camera):
     bpy.context.scene.render.engine = "BLENDER_WORKBENCH"
     message = run_to_end(run_job(prepare(bpy.context.scene, [add_ball()], DistanceSettings(**QUICK, seconds_budget=1.0))))
@@ -442,6 +446,7 @@ def test_unsaved_images_do_not_hinder_a_measurement(camera):
     assert bpy.ops.farfield.distance_measure() == {"FINISHED"}
 
 
+@pytest.mark.slow
 def test_a_measurement_that_is_cancelled_ends_its_process_and_deletes_its_copy_of_the_scene(camera):
     add_ball(300.0)
     build(**QUICK)
@@ -498,6 +503,7 @@ def test_only_selected_objects_are_made_ready_and_removed(camera):
     assert not level_modifiers(first) and not read_chains()
 
 
+@pytest.mark.slow
 def test_a_small_part_of_a_collection_vanishes_before_the_rest(camera):
     large, small = add_ball(0.0), add_ball(0.0)
     for item in (large, small):

@@ -27,7 +27,7 @@ FOLDER = Path(sys.argv[sys.argv.index("--") + 1])
 LEAVES = 300
 START_TIMEOUT_SECONDS = 20.0
 WHEEL_STEPS = 8  # Half of a sidebar.
-STEP_PIXELS = 9  # Less than half of the height of a button: on a busy machine, one of two positions may be missed.
+STEP_PIXELS = 18  # Less than the height of a button.
 
 results: dict = {"error": None}
 
@@ -105,7 +105,8 @@ class UserInput:
         the mouse. If no visible button is it, scroll down, as a user would."""
         sidebar = self.region("UI")
         x = sidebar.x + sidebar.width // 2
-        heights = range(sidebar.y + sidebar.height - 10, sidebar.y, -STEP_PIXELS)
+        top = sidebar.y + sidebar.height - 10
+        heights = [y for start in (top, top - STEP_PIXELS // 2) for y in range(start, sidebar.y, -STEP_PIXELS)]  # One may be missed.
         known = [self._found[operator]] if operator in self._found else []
         for tried in ([*known, *heights], heights, heights):
             self.move(sidebar.x - 200, sidebar.y + sidebar.height // 2)  # leave the sidebar, or the last pressed button stays active
@@ -187,4 +188,8 @@ def start_session(session: Callable[[], Iterator[float]]) -> None:
         (FOLDER / "results.json").write_text(json.dumps(results, indent=2), encoding="utf-8")
 
     bpy.context.preferences.system.viewport_aa = "OFF"  # otherwise software OpenGL draws each change of a viewport eight times
+    space = window_session.viewport().spaces.active
+    space.show_gizmo = space.overlay.show_floor = space.overlay.show_axis_x = space.overlay.show_axis_y = (
+        False  # half of the time of a redraw
+    )
     window_session.run_steps(session(), write_results)

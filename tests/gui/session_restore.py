@@ -12,8 +12,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))  # Blender does not add
 
 from session import UserInput, current_job, module, open_panel_alone, results, save_screenshot, scene_state, start_session, wait_for_job
 
-SIDE = 512
-SCRATCH = (slice(150, 190), slice(60, 440))  # rows and columns
+SIDE = 256
+SCRATCH = (slice(75, 95), slice(30, 220))  # rows and columns
 STROKE = 18  # mouse moves
 
 
@@ -56,9 +56,9 @@ def create_photograph() -> bpy.types.Image:
     """Create an image of bricks under a gradient, with a scratch that a user wants to remove."""
     random = np.random.default_rng(2)
     rows, columns = np.mgrid[:SIDE, :SIDE]
-    shifted = columns + 32 * (rows // 32 % 2)
-    is_mortar = (rows % 32 < 4) | (shifted % 64 < 4)
-    brick = random.random((SIDE // 32, SIDE // 64 + 2))[rows // 32, shifted // 64]
+    shifted = columns + 16 * (rows // 16 % 2)
+    is_mortar = (rows % 16 < 2) | (shifted % 32 < 2)
+    brick = random.random((SIDE // 16, SIDE // 32 + 2))[rows // 16, shifted // 32]
     colors = np.where(is_mortar[..., None], (0.65, 0.62, 0.58), (0.55, 0.28, 0.2) + 0.12 * brick[..., None])
     colors = colors * (0.6 + 0.4 * rows / SIDE)[..., None] + 0.05 * random.standard_normal((SIDE, SIDE, 1))
     colors[SCRATCH] = (0.95, 0.95, 1.0)
@@ -118,8 +118,8 @@ def session() -> Iterator[float]:
     left, right = user.window_position(0.0, 0.0)[0], user.window_position(1.0, 0.0)[0]
     results["brush"] = module("addon.compat").image_paint_settings(tools).size / (right - left)
     results["mask"] = {"name": user.shown.name, "mode": user.area.spaces.active.ui_mode}
-    for row in (152, 164, 176, 188):
-        yield from user.paint((50 / SIDE, row / SIDE), (450 / SIDE, row / SIDE))
+    for row in (76, 82, 88, 94):
+        yield from user.paint((25 / SIDE, row / SIDE), (225 / SIDE, row / SIDE))
     mask, source_name, mask_name = user.shown, source.name, user.shown.name
     results["painted"] = float((read(mask)[..., 0] > 0.5).mean())
     results["covered"] = float((read(mask)[SCRATCH][..., 0] > 0.5).mean())
@@ -162,7 +162,7 @@ def session() -> Iterator[float]:
     results["outside_unchanged"] = bool(np.array_equal(restored[outside], original[outside]))
     results["original_unchanged"] = bool(np.array_equal(read(source), original))
     results["scratch"] = float(restored[SCRATCH][..., 2].mean())
-    results["wall"] = float(original[200:260, 60:440, 2].mean())
+    results["wall"] = float(original[100:130, 30:220, 2].mean())
 
     for name in ("after_first_toggle", "after_second_toggle"):
         x, y = yield from user.find_button("farfield.restore_compare")

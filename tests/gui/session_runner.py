@@ -1,6 +1,7 @@
 """Runs sessions in a Blender window with this checkout installed."""
 
 import json
+import shutil
 import signal
 import subprocess
 import tempfile
@@ -11,7 +12,9 @@ from gui.blender_program import find_launcher
 from lib import blender_window
 
 WINDOW_SIZE = 1400, 1000
+NARROW_WINDOW = 1000, 1000  # Software OpenGL takes two thirds of the time. The sidebar needs the height.
 TIMEOUT_SECONDS = 900
+_installed: list[Path] = []  # The folders of the extension of earlier sessions.
 CRASH_CODES = (-signal.SIGSEGV, 128 + signal.SIGSEGV, -signal.SIGABRT, 128 + signal.SIGABRT)
 
 
@@ -41,9 +44,19 @@ def _run(name: str, tmp_path_factory, size: tuple[int, int]) -> tuple[Path, subp
     """Return the path of the results, which exists if the session reached its end, and the finished process."""
     find_launcher()
     resources, output = tmp_path_factory.mktemp("blender"), tmp_path_factory.mktemp("results")
-    blender_window.install(resources)
+    _install(resources)
     log = blender_window.run(resources, Path(__file__).with_name(name), [output], size=size, seconds=TIMEOUT_SECONDS)
     return output / "results.json", log
+
+
+def _install(resources: Path) -> None:
+    """Install this checkout, or copy the installation of the session before: it contains the modules as Blender has compiled them."""
+    folder = resources / "extensions" / "user_default"
+    if _installed:
+        shutil.copytree(_installed[-1], folder)
+    else:
+        blender_window.install(resources)
+    _installed.append(folder)
 
 
 def _last_output(log: subprocess.CompletedProcess) -> str:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gui.session_runner import run_gui_session
+from gui.session_runner import NARROW_WINDOW, run_gui_session
 
 pytestmark = pytest.mark.gui
 NAMES = [
@@ -14,7 +14,7 @@ NAMES = [
 @pytest.fixture(scope="module")
 def results(tmp_path_factory) -> dict:
     """The results of session_photo_cameras.py."""
-    return run_gui_session("session_photo_cameras.py", tmp_path_factory)
+    return run_gui_session("session_photo_cameras.py", tmp_path_factory, NARROW_WINDOW)
 
 
 def test_the_session_ran_to_its_end(results):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gui.session_runner import assert_progress, run_gui_session
+from gui.session_runner import NARROW_WINDOW, assert_progress, run_gui_session
 
 pytestmark = pytest.mark.gui
 NAME = "Mauer ü"
@@ -11,7 +11,7 @@ NAME = "Mauer ü"
 @pytest.fixture(scope="module")
 def results(tmp_path_factory) -> dict:
     """The results of session_restore.py."""
-    return run_gui_session("session_restore.py", tmp_path_factory)
+    return run_gui_session("session_restore.py", tmp_path_factory, NARROW_WINDOW)
 
 
 def test_the_session_ran_to_its_end(results):

@@ -18,6 +18,12 @@ from textured_models import cube, plane, torus
 MODELS = {"torus": torus(has_materials=True), "cube": cube(), "plane": plane(12, 9)}
 
 
+@pytest.fixture(scope="module")
+def small() -> tuple:
+    """The bytes of a small mesh, and its manifest."""
+    return pack(order_with_levels(torus(16, 12, 4, has_materials=True))[1])
+
+
 def fine_level(mesh: TexturedMesh) -> SubsetLevel:
     return SubsetLevel(mesh.triangles, mesh.wedge_triangles, mesh.materials, 0, "", (), None)
 
@@ -177,9 +183,9 @@ def test_estimated_positions_are_nearer_than_parents(name):
 
 @given(st.data())
 @settings(max_examples=50)
-def test_changed_sections_are_refused_or_give_a_mesh(data):
+def test_changed_sections_are_refused_or_give_a_mesh(small, data):
     """With right checksums, so that the decoder sees them."""
-    content, manifest = SMALL
+    content, manifest = small
     level, name = data.draw(st.integers(0, len(manifest.levels) - 1)), data.draw(st.sampled_from(SECTIONS))
     part = bytearray(read_section(content, manifest, level, name))
     for _ in range(data.draw(st.integers(1, 3))):
@@ -198,8 +204,8 @@ def test_changed_sections_are_refused_or_give_a_mesh(data):
 
 
 @pytest.mark.parametrize("name", SECTIONS)
-def test_flipped_bits_and_missing_bytes_are_found(name):
-    content, manifest = SMALL
+def test_flipped_bits_and_missing_bytes_are_found(small, name):
+    content, manifest = small
     section = getattr(manifest.levels[1], name)
     flipped = bytearray(content)
     flipped[section.offset] ^= 4
@@ -209,8 +215,8 @@ def test_flipped_bits_and_missing_bytes_are_found(name):
 
 
 @pytest.mark.parametrize("name", SECTIONS)
-def test_sections_that_expand_too_far_are_refused(name):
-    content, manifest = SMALL
+def test_sections_that_expand_too_far_are_refused(small, name):
+    content, manifest = small
     changed, manifest = replace_section(content, manifest, 0, name, bytes(10**6))
     with pytest.raises(FileError):
         decode_level(changed, manifest, 0)
@@ -219,8 +225,8 @@ def test_sections_that_expand_too_far_are_refused(name):
 @pytest.mark.parametrize(
     "change", [{"vertex_count": 2**40}, {"wedge_count": 2**40}, {"triangle_counts": (2**40, 0, 0)}, {"vertex_count": 3}]
 )
-def test_counts_that_lie_are_refused_before_anything_is_allocated(change):
-    content, manifest = SMALL
+def test_counts_that_lie_are_refused_before_anything_is_allocated(small, change):
+    content, manifest = small
     level = type(manifest.levels[0])(**vars(manifest.levels[0]) | change)
     lying = type(manifest)(levels=(level, *manifest.levels[1:]), bounds=manifest.bounds, uv_bounds=manifest.uv_bounds)
     for missing in ((), (0,)):
@@ -228,9 +234,6 @@ def test_counts_that_lie_are_refused_before_anything_is_allocated(change):
             decode_level(content, lying, 0, missing)
 
 
-SMALL = pack(order_with_levels(torus(16, 12, 4, has_materials=True))[1])
-
-
-def test_the_same_mesh_gives_the_same_bytes():
+def test_the_same_mesh_gives_the_same_bytes(small):
     _, ordered = order_with_levels(torus(16, 12, 4, has_materials=True))
-    assert encode_mesh(ordered, (0.0,) * len(ordered.levels), 3)[0] == SMALL[0]
+    assert encode_mesh(ordered, (0.0,) * len(ordered.levels), 3)[0] == small[0]

@@ -235,6 +235,7 @@ def test_pairs_of_points(tmp_path):
     assert_projects(tmp_path / "points.pairs", lambda u, v: (FOCAL * u + 320.0, FOCAL * v + 240.0), NAMES[:1])
 
 
+@pytest.mark.slow
 def test_damaged_pairs_are_one_sentence(tmp_path):
     path = tmp_path / "points.pairs"
     write_pairs(path, wrong=3)

@@ -73,6 +73,7 @@ class TestMerge:
         for name in ("colors", "confidence", "source", "holes", "labels"):
             assert np.array_equal(getattr(found, name), getattr(expected, name)), name
 
+    @pytest.mark.slow
     def test_confidence_is_the_resolution_of_the_photographs(self):
         """A texel is 2 / 128 units wide; photographs have 300 pixels per unit of depth, 3 units away: 1.6 pixels per texel, or 0.8 for a
         texture that is twice as fine."""

@@ -175,6 +175,7 @@ class TestAlignment:
         without, aligned = (self.score(photographs, mesh, uvs, texture, alignment=on) for on in (False, True))
         assert aligned < 0.85 * without
 
+    @pytest.mark.slow
     def test_a_single_photograph_stays(self):
         mesh, uvs, photographs = shoot()
         results = [run_to_end(merge(mesh, uvs, photographs[:1], PhotosSettings(size=SIZE, alignment=on))).colors for on in (False, True)]

@@ -86,6 +86,7 @@ def test_cameras_alone_are_moved_too(scene, capfd):
     assert found == pytest.approx(np.array([camera.position for camera in ring(3)]), abs=1e-5)
 
 
+@pytest.mark.slow
 def test_a_mesh_that_blender_has_rounded_is_named(scene, capfd):
     bpy.ops.wm.obj_import(filepath=str(scene / "mesh.obj"), forward_axis="Y", up_axis="Z")
     bpy.ops.farfield.photos_import_cameras(filepath=str(scene / "transforms.json"), draw_overlays=False)

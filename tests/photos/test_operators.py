@@ -337,6 +337,7 @@ class TestMerge:
         assert bpy.ops.farfield.photos_merge() == {"FINISHED"}
         assert tuple(shown_image(item).size) == (64, 64) and len(bpy.data.images) == 3 + 4
 
+    @pytest.mark.slow
     def test_linked_materials_and_object_slots(self, photographs):
         item, _, _ = add_mesh()
         item.data.materials.append(None)

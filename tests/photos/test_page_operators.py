@@ -157,6 +157,7 @@ class TestTiles:
         alphas = [pixels[..., 3] for pixels in read_tiles(image).values()]
         assert all(set(np.unique(alpha)) == {0.0, 1.0} for alpha in alphas)
 
+    @pytest.mark.slow
     def test_overlaps_count_within_a_tile_only(self, photographs):
         item = add_square(stack)
         with pytest.raises(RuntimeError, match="overlaps itself: 200 triangles"):
@@ -165,6 +166,7 @@ class TestTiles:
         item.data.uv_layers[0].uv.foreach_set("vector", to_tiles(uvs, uvs.mean(axis=1)[:, 0] > 0.5).astype(np.float32).ravel())
         merge_scene()
 
+    @pytest.mark.slow
     def test_objects_on_different_tiles_get_one_image(self, photographs):
         first = add_square(lambda uvs, _: 0.9 * uvs)
         second = add_square(lambda uvs, _: uvs + [1.0, 0.0])
@@ -178,6 +180,7 @@ class TestTiles:
 class TestKeep:
     """One texture per material."""
 
+    @pytest.mark.slow
     def test_materials_are_copied_with_their_own_images(self, photographs):
         red, metal = new_material("Rot", (1.0, 0.0, 0.0)), new_material("Metal", (0.0, 0.0, 1.0), 0.5)
         item = add_square(stack, (red, metal))

@@ -103,6 +103,7 @@ def test_stages_are_pictures(folder):
     assert (photographed[holes] == 0).all() and np.array_equal(photographed[~holes], interpolated[~holes])
 
 
+@pytest.mark.slow
 def test_photographs_of_one_name_in_several_folders_have_pictures_of_their_own(folder):
     for index in range(3):
         (folder / "images" / f"{index}").mkdir()
@@ -160,6 +161,7 @@ def test_bad_input_is_one_sentence_and_writes_nothing(folder):
         run(*inputs(folder), "--texture", folder / "t.jpg")
 
 
+@pytest.mark.slow
 def test_a_mesh_far_away_says_so(folder):
     mesh, uvs = grid(3)
     mesh.vertices[:] += 100.0

@@ -72,6 +72,7 @@ def check_halves(first, second):
         assert np.sqrt(np.mean((found - expected)[8:-8, 8:-8] ** 2)) < 0.02, path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("extension", [*(pytest.param(name, marks=pytest.mark.exhaustive) for name in (".blend", ".obj")), ".glb"])
 def test_a_file_per_tile(inputs, tmp_path, extension):
     mesh, out = write_obj(tmp_path / "mesh.obj", 1.0), tmp_path / f"out{extension}"
@@ -122,6 +123,7 @@ def test_a_single_tile_without_a_placeholder_is_an_image_that_repeats(inputs, tm
     assert (tmp_path / "u.1011.png").is_file()
 
 
+@pytest.mark.slow
 def test_a_file_per_material(inputs, tmp_path):
     mesh, report = write_obj(tmp_path / "mesh.obj", 0.0, materials=True), tmp_path / "report.json"
     out, texture = tmp_path / "out.blend", tmp_path / "t.<MATERIAL>.png"
@@ -145,6 +147,7 @@ def test_names_without_placeholders_are_one_sentence(inputs, tmp_path):
     fails("leave out <MATERIAL>", tiled, "t.<UDIM>.<MATERIAL>.png")
 
 
+@pytest.mark.slow
 def test_a_single_tile_with_a_placeholder(inputs, tmp_path):
     mesh = write_obj(tmp_path / "mesh.obj", 0.0, materials=True)
     run(mesh, *inputs, "--texture", tmp_path / "<MATERIAL>.<UDIM>.png", "--materials", "keep")

@@ -117,6 +117,7 @@ class TestOperator:
         assert together < 0.003 < 0.03 < separate
         assert 'as "color restored", with 2 other maps of its material.' in capfd.readouterr().out
 
+    @pytest.mark.slow
     def test_each_result_is_of_the_kind_of_its_original(self, maps):
         restore_all(**TEXTURE)
         for name in maps:

@@ -65,7 +65,7 @@ class TestContours:
 class TestPatches:
     """Completion by overlapping patches."""
 
-    @pytest.mark.parametrize("wrap", [(False, False), (True, True)])
+    @pytest.mark.parametrize("wrap", [pytest.param((False, False), marks=pytest.mark.exhaustive), (True, True)])
     def test_a_periodic_pattern_is_completed(self, wrap):
         image = np.tile(gaussian_filter(np.random.default_rng(1).random((12, 15, 3), np.float32), (1, 1, 0), mode="wrap"), (10, 8, 1))
         hole = np.roll(HOLE, (60, 60), (0, 1)) if wrap[0] else HOLE

@@ -85,6 +85,7 @@ class TestKappa:
         assert 1 <= kappa <= 6
         assert deviations[kappa] < MAX_DEVIATION and (deviations[:kappa] >= MAX_DEVIATION).all()
 
+    @pytest.mark.slow
     def test_the_choice_hardly_depends_on_the_size(self):
         small, _ = choose_sub_bands(gradient(128, 128) + 0.5, is_color=False)
         large, _ = choose_sub_bands(gradient(2048, 2048) + 0.5, is_color=False)

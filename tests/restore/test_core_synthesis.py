@@ -196,6 +196,7 @@ class TestInvariants:
             assert level.valid[sources].all() and not level.hole[sources].any() and level.filled[level.hole].all()
             assert (level.texture[level.hole] == level.texture[sources]).all()
 
+    @pytest.mark.slow
     def test_scanline_batches_equal_one_pixel_after_another(self, monkeypatch):
         image, hole = noise((40, 60), seed=4), disk((40, 60), 9)
 

@@ -242,6 +242,7 @@ def test_a_number_of_sub_bands_selects_the_manual_split(flags, split, sub_bands)
     assert (parsed.split, parsed.sub_bands) == (split, sub_bands)
 
 
+@pytest.mark.slow
 def test_stages_and_the_curve(folder):
     outputs = ("--stages", folder / "stages", "--curve", folder / "curve.png", "--report", folder / "report.json")
     run(folder / "image.png", folder / "mask.png", "--out", folder / "out.png", *outputs)

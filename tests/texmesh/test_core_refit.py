@@ -94,6 +94,7 @@ def test_a_level_with_a_spike_or_a_texture_that_slides_is_not_chosen(fine, level
     assert comparison.choose([replace(refitted, uvs=refitted.uvs + [0.0, 0.2]), level]) == 1
 
 
+@pytest.mark.slow
 def test_a_level_that_looks_worse_is_not_chosen(fine, level, refitted):
     comparison = LevelComparison(FineSurface.of(fine))
     assert comparison.choose([refitted, level], np.array([0.03, 0.03])) == 0
@@ -136,6 +137,7 @@ def test_levels_whose_refit_stays_at_its_start_have_all_triangles(monkeypatch, f
     assert len(start.start.triangles) < len(level.triangles) == len(start.full.triangles)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_samples")
 @pytest.mark.parametrize(("order", "count"), [("visibility", 1), pytest.param("scale", 2, marks=pytest.mark.exhaustive)])
 def test_optimized_levels_of_large_meshes_are_simplified_once(monkeypatch, order, count):

@@ -67,6 +67,7 @@ def test_features_of_a_box_are_its_edges():
     assert found.last_scales[on_edge].max() >= 10
 
 
+@pytest.mark.slow
 def test_edges_of_a_texture_are_features_where_the_shape_is_flat():
     sheet = shapes.sheet(40)
     mesh = textured(sheet, 0.1 + 0.8 * sheet.corners[..., :2])  # away from where the texture repeats
@@ -100,9 +101,7 @@ def test_flat_and_constant_signals_have_no_features():
         assert found.counts[1] == 0
 
 
-@pytest.mark.parametrize(
-    "unit", [1e-30, pytest.param(1e-3, marks=pytest.mark.exhaustive), pytest.param(1e6, marks=pytest.mark.exhaustive), 1e30]
-)
+@pytest.mark.parametrize("unit", [1e-30, *(pytest.param(unit, marks=pytest.mark.exhaustive) for unit in (1e-3, 1e6, 1e30))])
 def test_units_do_not_matter(unit):
     mesh = irregular_ball()
     expected = analyze(textured(mesh))

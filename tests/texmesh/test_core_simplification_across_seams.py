@@ -31,6 +31,7 @@ def deviate(mesh: TexturedMesh, level: TexturedMesh) -> float:
     return float(closest_on_mesh(mesh.vertices, level.vertices[level.triangles])[0].max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("islands", [40, pytest.param(200, marks=pytest.mark.exhaustive)])
 def test_many_islands_do_not_stop_the_collapses(islands):
     mesh = torus(islands=islands, has_materials=True)
@@ -141,6 +142,7 @@ def record_dropped(mesh: TexturedMesh) -> tuple[SubsetLevel, list[int]]:
     return result.levels[0], dropped
 
 
+@pytest.mark.slow
 def test_wedges_that_vanish_are_found():
     """Collapses drop all wedges but those that remain, and those that others replace: none where no island vanishes."""
     level, dropped = record_dropped(torus(islands=40))

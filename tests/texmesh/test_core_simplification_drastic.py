@@ -1,6 +1,7 @@
 """Simplification where constraints stop it: how they are named, and each drastic step. Vertices stay with their wedges."""
 
 import numpy as np
+import pytest
 
 from farfield.addon.core.geometry.edges import find_edges
 from farfield.addon.core.geometry.mesh import TriangleMesh, face_areas_and_normals
@@ -92,6 +93,7 @@ def test_small_holes_are_closed():
     assert find_edges(drastic.triangles).face_counts.max() == 2
 
 
+@pytest.mark.slow
 def test_thin_islands_are_dropped():
     """An island of two triangles inside of another vanishes, the other island closes over it."""
     mesh = plane(10, 10)

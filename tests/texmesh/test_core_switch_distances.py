@@ -132,6 +132,7 @@ def test_screen_coverage_is_that_of_a_disc():
     assert [switch_distances.screen_coverage(size, 1.0, (100, 100)) for size in (0.0, 1e-300, 1e-9)] == [1.0] * 3
 
 
+@pytest.mark.slow
 def test_images_do_not_grow_along_a_chain_and_with_a_gap_they_shrink():
     images = open_images(32, 8, 31, 30, 5)  # the second one is worse than those that follow
     pixels = [switch.pixels for switch in compare_images(images)]

@@ -108,6 +108,7 @@ def test_other_materials_or_shapes_are_levels_of_their_own(ball, made):
     assert len(list_meshes(make(ball, other, wide))) == 9 and len(made) == 3
 
 
+@pytest.mark.slow
 def test_one_of_several_duplicates_stops_cross_fading(ball):
     other = duplicate(ball, location=(4, 0, 0))
     first, second = sorted(make(ball, other), key=lambda levels: levels.source.location.x)
@@ -152,6 +153,7 @@ def test_instances_of_geometry_nodes_are_levels_of_their_mesh(ball, made, tmp_pa
     assert not bpy.data.collections and len(bpy.data.meshes) == 2
 
 
+@pytest.mark.slow
 def test_many_instances_are_one_mesh(ball, made, monkeypatch, capsys):
     monkeypatch.setattr(placed_sources, "MAX_INSTANCES", 3)
     (levels,) = make(scatter(ball, 4))

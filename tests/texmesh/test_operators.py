@@ -34,7 +34,7 @@ def make(**values) -> list[bpy.types.Object]:
     return levels.levels
 
 
-@pytest.mark.parametrize(("vertices", "number"), [("original", 3), ("optimized", 2)])
+@pytest.mark.parametrize(("vertices", "number"), [("original", 3), pytest.param("optimized", 2, marks=pytest.mark.slow)])
 def test_levels_have_fewer_triangles_and_larger_errors(vertices, number):
     ball = textured_ball(6)
     ball.location, ball.scale = (3.0, -2.0, 1.0), (2.0, 2.0, 2.0)
@@ -187,6 +187,7 @@ def test_features_become_an_attribute(ball):
     assert attribute.domain == "POINT" and scales.min() >= 0 and 0 < scales.max() <= 20
 
 
+@pytest.mark.slow
 def test_levels_have_the_scales_of_their_own_analysis(ball):
     stale = np.full(len(ball.data.vertices), 99, np.int32)
     ball.data.attributes.new(SCALE_ATTRIBUTE, "INT", "POINT").data.foreach_set("value", stale)
@@ -211,7 +212,7 @@ def test_other_attributes_are_carried(ball):
         assert level.data.color_attributes["Paint"].domain == "CORNER"
 
 
-@pytest.mark.parametrize("prepare", ["no_uv", "no_image"])
+@pytest.mark.parametrize("prepare", ["no_uv", pytest.param("no_image", marks=pytest.mark.exhaustive)])
 def test_meshes_without_texture_have_levels_by_shape(ball, prepare, capsys):
     if prepare == "no_uv":
         ball.data.uv_layers.remove(ball.data.uv_layers[0])
@@ -242,6 +243,7 @@ def test_a_small_object_stays_as_it_is_beside_the_levels_of_others(ball, capsys)
     assert '"Plane" has only 2 triangles and stays as it is.' in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_levels_of_a_mesh_far_from_its_origin_are_at_its_place(ball, capsys):
     offset = np.array([500_000.0, 4_500_000.0, 0.0])
     positions = np.array([tuple(vertex.co) for vertex in ball.data.vertices]) * 15.0 + offset

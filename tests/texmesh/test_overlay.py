@@ -57,6 +57,7 @@ def test_meshes_without_scales_have_no_colors(ball):
         bpy.ops.farfield.texmesh_overlay()
 
 
+@pytest.mark.slow
 def test_levels_can_be_shown_without_an_analysis_of_the_original(ball):
     ball.data.attributes.remove(ball.data.attributes[SCALE_ATTRIBUTE])
     bpy.ops.farfield.texmesh_levels(**SMALL)

@@ -120,6 +120,7 @@ def test_a_weak_fold_is_a_crease_only_where_it_continues_one():
         assert find_creases(vertices, np.array(triangles), halfedges).tolist() == [True, True, is_crease, is_crease]
 
 
+@pytest.mark.slow
 def test_a_long_thin_strip_does_not_determine_the_scale():
     """The side of a flat drum is 60 times as long as it is high, and cut into pieces no longer than the drum is wide."""
     sides = 96
@@ -175,6 +176,7 @@ def test_density_varies_inside_of_an_island_along_creases():
     assert 2.5 < densities[importance > 0.9].mean() / densities[importance < 0.1].mean() < 5.0
 
 
+@pytest.mark.slow
 def test_equal_importance_everywhere_changes_nothing():
     mesh = merged(box(cuts=2))
     important = unwrap_mesh(mesh, np.ones(len(mesh.triangles)))

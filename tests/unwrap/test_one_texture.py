@@ -61,7 +61,7 @@ def sentences():
     return read_result(bpy.context.scene, "unwrap")
 
 
-@pytest.mark.parametrize("islands", ["creases", "one", pytest.param("atlas", marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("islands", ["creases", *(pytest.param(name, marks=pytest.mark.exhaustive) for name in ("one", "atlas"))])
 def test_cubes_of_two_sizes_get_the_same_texel_density_and_do_not_overlap(islands):
     maps = unwrap(add_cube(), add_cube("Large", (5.0, 0.0, 0.0), 2.0), islands=islands)
     corner_uvs = np.concatenate(maps)
@@ -73,6 +73,7 @@ def test_cubes_of_two_sizes_get_the_same_texel_density_and_do_not_overlap(island
     assert small["fill"] == large["fill"] == pytest.approx(sum_area(corner_uvs), rel=1e-5)
 
 
+@pytest.mark.slow
 def test_without_the_setting_each_fills_its_own_texture():
     maps = unwrap(add_cube(), add_cube("Large", (5.0, 0.0, 0.0), 2.0), combine_selected=False)
     assert sum_area(maps[0]) == pytest.approx(sum_area(maps[1]), rel=1e-3)
@@ -183,6 +184,7 @@ def test_undo_takes_one_step():
     assert not any(bpy.data.objects[name].data.uv_layers for name in ("Cube", "Large"))
 
 
+@pytest.mark.slow
 def test_the_message_of_several_meshes_is_short_and_the_figures_of_each_follow():
     items = [add_plane(f"Brett {index}", (5.0 * index, 0.0, 0.0), 1.0 + index) for index in range(10)]
     unwrap(*items, combine_selected=False)

@@ -106,6 +106,7 @@ def test_quads_that_are_not_flat_are_not_cut(islands):
     assert signed_areas(read_corner_uvs(item)[0]).min() > 0.0
 
 
+@pytest.mark.slow
 def test_unwrapping_again_overwrites_the_same_map():
     item = add_sphere()
     unwrap()
@@ -296,6 +297,7 @@ def test_nan_coordinates_are_an_error():
     assert not item.data.uv_layers
 
 
+@pytest.mark.slow
 def test_an_atlas_has_little_stretch():
     item = add_sphere(segments=24, rings=12)
     unwrap(islands="atlas")
@@ -453,6 +455,7 @@ def test_the_texel_density_counts_pixels_per_meter(scale_length, system):
     assert uv_maps.read_texel_densities(item.data) == pytest.approx({"Unwrap": 500.0 / meters, "Small": 100.0 / meters})
 
 
+@pytest.mark.slow
 def test_a_lowered_texel_density_is_reported(capfd):
     add_sphere()
     unwrap(texture_size=(256, 256), texel_density=1e4)

@@ -217,6 +217,7 @@ def test_a_long_strip_is_cut_into_halves():
     assert result.metrics.symmetric_dirichlet == pytest.approx(4.0, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_an_island_that_fills_little_of_the_texture_is_cut_across():
     """In one piece the map of a thin torus is a strip that fills a quarter of the texture."""
     result = unwrap_uniformly(TriangleMesh(*torus(48, 24, tube_radius=0.3)))

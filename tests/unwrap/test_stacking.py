@@ -116,6 +116,7 @@ def test_equal_islands_of_one_part_are_stacked():
     assert strips.metrics.overlaps == faces.metrics.overlaps == 0 and faces.metrics.fill > 0.95
 
 
+@pytest.mark.slow
 def test_nothing_is_stacked_unless_asked_for():
     mesh = concatenate([box(cuts=1), TriangleMesh(box(cuts=1).vertices + 3.0, box(cuts=1).triangles)])
     count = len(mesh.triangles)

@@ -44,6 +44,7 @@ def test_marked_seams_are_not_added_to():
     assert marked.metrics.symmetric_dirichlet == pytest.approx(uncut.metrics.symmetric_dirichlet, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_part_with_little_distortion_stays_in_one_piece():
     mesh = dome(32, 0.4)
     cut, uncut = unwrap_mesh(mesh), unwrap_mesh(mesh, further_cuts=False)

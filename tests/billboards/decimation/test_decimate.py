@@ -161,6 +161,7 @@ def test_front_and_back_of_flat_sheet_are_two_quads():
     assert level.quads.frames[0, 2] @ level.quads.frames[1, 2] == pytest.approx(-1.0)
 
 
+@pytest.mark.slow
 def test_thin_flat_frame_is_not_one_quad():
     """One quad around a thin square frame would be almost empty."""
     outer = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])

@@ -112,6 +112,7 @@ def test_equal_seeds_give_equal_bytes():
     assert first.owner.tobytes() == second.owner.tobytes()
 
 
+@pytest.mark.slow
 def test_larger_error_needs_fewer_planes():
     wave = grid(16, lambda x, y: 0.2 * np.sin(5.0 * x) * np.cos(4.0 * y))
     counts = [len(find_mesh_planes(wave, error).drawn) for error in (0.01, 0.03, 0.1)]

@@ -168,6 +168,7 @@ def test_a_second_crash_ends_the_bake_and_keeps_finished_views(bake, undisturbed
     assert bake.read_views() == undisturbed
 
 
+@pytest.mark.slow
 def test_the_error_message_of_a_worker_is_passed_on_unchanged(bake):
     with pytest.raises(FarfieldError) as raised:
         run_to_end(bake.steps("serial", FAIL))

@@ -100,6 +100,7 @@ def test_two_quads_composite_to_the_reference(alpha, coverage):
         assert after.mean() < 0.3 * before.mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coverage", [0.3, pytest.param(0.9, marks=pytest.mark.exhaustive)])
 def test_a_deep_stack_does_not_oscillate(coverage):
     """With many texels along a ray, each has little influence, and all together have much."""

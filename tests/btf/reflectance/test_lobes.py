@@ -107,7 +107,7 @@ def test_diffuse_response_is_the_mean_over_the_disc():
         np.testing.assert_allclose(SUNS.diffuse_response(normals)[:, light], expected, atol=2e-3)
 
 
-@pytest.mark.parametrize("roughness", [0.1, pytest.param(0.25, marks=pytest.mark.exhaustive), 0.4])
+@pytest.mark.parametrize("roughness", [0.1, *(pytest.param(roughness, marks=pytest.mark.exhaustive) for roughness in (0.25, 0.4))])
 def test_specular_response_is_the_mean_over_the_disc(roughness):
     normals = fibonacci_sphere(400)
     view = np.array([0.3, -0.2, 0.9]) / np.linalg.norm([0.3, -0.2, 0.9])
