@@ -58,7 +58,7 @@ class WideView(NamedTuple):
 _SETTINGS = partial(ClipboxSettings, resolution=192, boxes=7, voxel_size=0.5)
 WIDE_VIEWS = {
     "landscape": WideView(
-        _SETTINGS(terrain="alps", scale=0.25, seed=5, boxes=8, voxel_size=1.0), (300.0, -400.0, 172.0), (-160.0, -381.0, 160.0), "forest"
+        _SETTINGS(terrain="alps", scale=0.25, seed=5, boxes=8, voxel_size=1.0), (693.4, 458.1, -26.8), (643.2, 544.6, -28.0), "forest"
     ),
     "canyon": WideView(
         _SETTINGS(terrain="canyon", boxes=8), (-280.0, -140.0, 345.0), (-620.0, 20.0, 260.0), "rocks", SkySettings(light="morning")
