@@ -1,4 +1,4 @@
-"""The number of random examples: all with --all, a quarter without it."""
+"""The number of random examples: all with --all, a tenth without it."""
 
 import hypothesis
 import pytest
@@ -33,10 +33,10 @@ class TestMethod:
         seen["very_few"].add(number)
 
 
-def test_a_quarter_is_taken_unless_all_are_wanted(request):
+def test_a_tenth_is_taken_unless_all_are_wanted(request):
     """Hypothesis may draw a few values twice."""
     if not all(seen.values()):
         pytest.skip("the other tests of this file have not run")
-    quick = {"default": 25, "many": 10, "few": 5, "very_few": 3}
+    quick = {"default": 10, "many": 5, "few": 5, "very_few": 3}
     expected = COUNTS if request.config.option.exhaustive else quick
     assert {name: len(values) for name, values in seen.items()} == pytest.approx(expected, rel=0.25)
