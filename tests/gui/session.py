@@ -27,7 +27,7 @@ FOLDER = Path(sys.argv[sys.argv.index("--") + 1])
 LEAVES = 300
 START_TIMEOUT_SECONDS = 20.0
 WHEEL_STEPS = 8  # Half of a sidebar.
-STEP_PIXELS = 18  # Less than the height of a button.
+STEP_PIXELS = 9  # Less than half of the height of a button: on a busy machine, one of two positions may be missed.
 
 results: dict = {"error": None}
 
@@ -105,8 +105,7 @@ class UserInput:
         the mouse. If no visible button is it, scroll down, as a user would."""
         sidebar = self.region("UI")
         x = sidebar.x + sidebar.width // 2
-        top = sidebar.y + sidebar.height - 10
-        heights = [y for start in (top, top - STEP_PIXELS // 2) for y in range(start, sidebar.y, -STEP_PIXELS)]  # One may be missed.
+        heights = range(sidebar.y + sidebar.height - 10, sidebar.y, -STEP_PIXELS)
         known = [self._found[operator]] if operator in self._found else []
         for tried in ([*known, *heights], heights, heights):
             self.move(sidebar.x - 200, sidebar.y + sidebar.height // 2)  # leave the sidebar, or the last pressed button stays active
