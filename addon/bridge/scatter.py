@@ -20,7 +20,7 @@ from .geometry.mesh_arrays import write_attribute, write_triangles
 from .scatter_nodes import MAX_SIDE, NAME, ensure_group
 from .shading.ground import GROUP_NAME
 from .shading.ground_noise import ramp
-from .shading.node_builder import create_node_material, nodes_in
+from .shading.node_builder import NodeBuilder, create_node_material, nodes_in
 from .shading.solid_view import show_color
 from .sky import copy_haze
 from .terrain_roots import TerrainRoot, link_collection
@@ -54,7 +54,7 @@ class Layer:
         sway: angle by which it leans in gusts of a strong wind, radians.
         tilt: range of the angle by which it is tilted, radians.
         reach: distance within which the shape of the ground matters; 0 if it does not.
-        debris: how much it keeps to the ground below cliffs and, less, to slopes, from 0 to 1.
+        debris: how much it keeps to the ground below cliffs and, less, to hillsides, from 0 to 1.
         hollows: how much it keeps to hollows, from 0 to 1.
     """
 
@@ -316,16 +316,28 @@ def _create_rock_material(name: str, ground: Ground, scale: float) -> bpy.types.
     stains = ramp(builder, builder.math("ADD", noise.outputs[0], builder.multiply_add(random, 0.3, -0.15)), 0.5, 0.12)
     color = builder.mix(stains, tuple(ground.rock.tolist()), tuple(ground.layers.tolist()))
     brightness = builder.math("MULTIPLY", builder.attribute(SHADE, is_scalar=True), builder.multiply_add(random, 0.4, 0.7))
-    principled, bump = builder.node("ShaderNodeBsdfPrincipled"), builder.node("ShaderNodeBump")
-    builder.connect(builder.vector("SCALE", color, brightness), principled.inputs["Base Color"])
-    principled.inputs["Roughness"].default_value, principled.inputs["Specular IOR Level"].default_value = 0.9, 0.25
-    builder.connect(noise.outputs[0], bump.inputs["Height"])
-    bump.inputs["Distance"].default_value = BUMP_METERS * scale
-    builder.connect(bump.outputs[0], principled.inputs["Normal"])
+    principled = _add_principled(builder, builder.vector("SCALE", color, brightness), 0.9)
+    _add_bumps(builder, principled, noise, BUMP_METERS * scale)
     builder.connect(principled.outputs[0], builder.node("ShaderNodeOutputMaterial").inputs["Surface"])
     builder.arrange()
     show_color(material, (*ground.rock.tolist(), 1.0))
     return material
+
+
+def _add_principled(builder: NodeBuilder, color: bpy.types.NodeSocket, roughness: float) -> bpy.types.Node:
+    """Return a Principled BSDF with dull highlights."""
+    principled = builder.node("ShaderNodeBsdfPrincipled")
+    builder.connect(color, principled.inputs["Base Color"])
+    principled.inputs["Roughness"].default_value, principled.inputs["Specular IOR Level"].default_value = roughness, 0.25
+    return principled
+
+
+def _add_bumps(builder: NodeBuilder, principled: bpy.types.Node, noise: bpy.types.Node, distance: float) -> None:
+    """Let noise raise the surface by up to `distance`, scene units."""
+    bump = builder.node("ShaderNodeBump")
+    builder.connect(noise.outputs[0], bump.inputs["Height"])
+    bump.inputs["Distance"].default_value = distance
+    builder.connect(bump.outputs[0], principled.inputs["Normal"])
 
 
 def _create_material(name: str, color: np.ndarray, is_leaf: bool = False) -> bpy.types.Material:
@@ -338,19 +350,14 @@ def _create_material(name: str, color: np.ndarray, is_leaf: bool = False) -> bpy
     if is_leaf:
         dry = builder.vector("MULTIPLY", scaled, (1.35, 1.05, 0.8))
         scaled = builder.mix(builder.math("MULTIPLY", random, 0.5), scaled, dry)
-    principled = builder.node("ShaderNodeBsdfPrincipled")
-    builder.connect(scaled, principled.inputs["Base Color"])
-    principled.inputs["Roughness"].default_value = 0.6 if is_leaf else 0.9
-    principled.inputs["Specular IOR Level"].default_value = 0.25
+    principled = _add_principled(builder, scaled, 0.6 if is_leaf else 0.9)
+    shader = principled.outputs[0]
     if not is_leaf:
-        noise, bump = builder.node("ShaderNodeTexNoise"), builder.node("ShaderNodeBump")
+        noise = builder.node("ShaderNodeTexNoise")
         builder.connect(builder.node("ShaderNodeTexCoord").outputs["Object"], noise.inputs["Vector"])
         noise.inputs["Scale"].default_value, noise.inputs["Detail"].default_value = 7.0, 8.0
-        builder.connect(noise.outputs[0], bump.inputs["Height"])
-        bump.inputs["Distance"].default_value = 0.12
-        builder.connect(bump.outputs[0], principled.inputs["Normal"])
-    shader = principled.outputs[0]
-    if is_leaf:
+        _add_bumps(builder, principled, noise, 0.12)
+    else:
         translucent, mix = builder.node("ShaderNodeBsdfTranslucent"), builder.node("ShaderNodeMixShader")
         builder.connect(scaled, translucent.inputs["Color"])
         mix.inputs[0].default_value = 0.35

@@ -15,8 +15,8 @@ MAX_SIDE = 420  # Places along a side of the grid around the camera.
 FADE_START = 0.6  # Fraction of the distance from which on there is less.
 CONTRAST, GAPS = 14.0, 0.08  # Of clumps: how fast noise turns into density, and by how much clumps are rarer than gaps.
 SMALLER_AT_EDGES = 0.45  # By how much everything is smaller at the edge of a clump, a fraction.
-CLIFF, HILLSIDE = (0.6, 1.3), (0.35, 0.8)  # Rises of the ground, relative to the distance: of cliffs, and of slopes with debris.
-ON_HILLSIDES = 0.35  # How much debris lies on slopes, relative to the ground below cliffs.
+CLIFF, HILLSIDE = (0.6, 1.3), (0.35, 0.8)  # Rises of the ground, relative to the distance: of cliffs, and of hillsides with debris.
+ON_HILLSIDES = 0.35  # How much debris lies on hillsides, relative to the ground below cliffs.
 HOLLOW = 0.12  # Mean rise around a place that is all hollow.
 AROUND = ((1.0, 0.0), (0.7, 0.7), (0.0, 1.0), (-0.7, 0.7), (-1.0, 0.0), (-0.7, -0.7), (0.0, -1.0), (0.7, -0.7))  # Directions.
 STEEPNESS_NOISE, FLAT_MARGIN = 0.12, 0.1  # How far noise moves z of normals, and what is added to its upper limit for it.
@@ -176,7 +176,7 @@ def _add_shape_of_ground(
     side: bpy.types.NodeSocket,
     index: bpy.types.NodeSocket,
 ) -> bpy.types.NodeSocket:
-    """Return how well the ground within *Reach* suits: *Debris* lies below cliffs and, less of it, on slopes; plants grow in *Hollows*.
+    """Return how well the ground within *Reach* suits: *Debris* lies below cliffs and, less of it, on hillsides; plants grow in *Hollows*.
 
     Places of the same grid at that distance show how the ground rises, unless they are beyond its border or have no ground.
     """

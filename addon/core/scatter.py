@@ -7,7 +7,7 @@ from .settings import Choice, Settings, setting
 KINDS = {
     "meadow": Choice("Meadow", "Grass with groups of bushes and stones, trees in hollows, and rubble below cliffs"),
     "forest": Choice("Forest", "Conifers with grass and bushes between them, and rubble below cliffs"),
-    "rocks": Choice("Rocks", "Groups of stones, and rubble below cliffs and on slopes"),
+    "rocks": Choice("Rocks", "Groups of stones, and rubble below cliffs and on hillsides"),
     "steppe": Choice("Steppe", "Dry tufts, groups of bushes and stones, and rubble below cliffs"),
 }
 
