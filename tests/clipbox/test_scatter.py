@@ -106,12 +106,8 @@ def test_places_stay_when_the_camera_moves(terrain, layer):
 
 def test_clumps_are_dense_and_leave_gaps(terrain, layer, monkeypatch):
     add_camera(-45.0, 0.0)
-    even, clumped, other = (
-        replace(layer, distance=40.0),
-        replace(layer, distance=40.0, clumps=1.0),
-        replace(layer, distance=40.0, clumps=1.0),
-    )
-    monkeypatch.setitem(scatter.KINDS, "rocks", {"Even": even, "Clumped": clumped, "Other": other})
+    even, clumped = (replace(layer, distance=40.0, clumps=clumps) for clumps in (0.0, 1.0))
+    monkeypatch.setitem(scatter.KINDS, "rocks", {"Even": even, "Clumped": clumped, "Other": clumped})
     created = scatter.add_scatter(bpy.context.scene, terrain, ScatterSettings(kind="rocks"), 1.0)
     edges = np.linspace(-18.0, 18.0, 10)
     counts = []

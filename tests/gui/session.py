@@ -188,7 +188,6 @@ def start_session(session: Callable[[], Iterator[float]]) -> None:
 
     bpy.context.preferences.system.viewport_aa = "OFF"  # otherwise software OpenGL draws each change of a viewport eight times
     space = window_session.viewport().spaces.active
-    space.show_gizmo = space.overlay.show_floor = space.overlay.show_axis_x = space.overlay.show_axis_y = (
-        False  # half of the time of a redraw
-    )
+    space.show_gizmo = space.overlay.show_floor = False  # They take half of the time of a redraw.
+    space.overlay.show_axis_x = space.overlay.show_axis_y = False
     window_session.run_steps(session(), write_results)

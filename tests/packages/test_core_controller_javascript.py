@@ -75,7 +75,7 @@ def figures(plan: TransferPlan, state: State) -> list:
 
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed, so the page's controller is not compared")
-@pytest.mark.parametrize("seeds", [range(15), pytest.param(range(15, 50), marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("seeds", [range(15), pytest.param(range(15, 120), marks=pytest.mark.exhaustive)])
 def test_page_decides_like_python(tmp_path: Path, seeds: range):
     vectors, expected = zip(*(encode_vector(seed) for seed in seeds), strict=True)
     (tmp_path / "vectors.json").write_text(json.dumps(vectors))
